@@ -1,0 +1,186 @@
+"""Every default, once. A TOML file overrides any of them; an unknown key is refused.
+
+Sources: "paper" is Wang et al., J. Neural Eng. 19 066023 (2022); "decided" marks what it leaves open.
+"""
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from bci_app.errors import SetupError
+
+Seconds = Annotated[float, Field(ge=0)]
+Probability = Annotated[float, Field(ge=0, le=1)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class Section(BaseModel):
+    """A part of the configuration: immutable, and a misspelt key is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class StimulusConfig(Section):
+    """One step on the screen (paper V.A.1) and the window it is drawn in."""
+
+    countdown_s: Seconds = 1.0
+    arrow_s: Seconds = 1.0
+    rest_s: Seconds = 1.0
+    hold_s: Annotated[float, Field(gt=0)] = 5.0
+    """Real seconds a missing action may hold the countdown before the session pauses (decided)."""
+    window_px: Annotated[int, Field(ge=200)] = 880
+    fullscreen: bool = False
+    display: Annotated[int, Field(ge=0)] = 0
+    headless: bool = False
+    """Draw with SDL's dummy driver: no screen needed."""
+
+
+class CalibrationConfig(Section):
+    """The calibration run (paper V.A.1)."""
+
+    map: str = "open"
+    n_blocks: Count = 5
+    moves_per_block: Count = 120
+    max_steps: Count = 60
+    error_probability: Annotated[float, Field(gt=0, lt=1)] = 0.3
+    """Probability that the calibrating agent moves away from the goal (decided; the paper doesn't say)."""
+    break_s: Seconds = 10.0
+    """Shortest break between blocks; with a window the person then starts the next block by a key."""
+
+
+class OnlineConfig(Section):
+    """The online run (paper V.B.3): one pre-generated episode for each initial distance."""
+
+    distances: tuple[int, int] = (2, 20)
+    max_steps: Count = 60
+    episodes_seed: int = 2022
+    """Seed of the pre-generated episodes: the same episodes for every participant (decided)."""
+
+
+class EegConfig(Section):
+    """Which EEG stream to use and what it must look like."""
+
+    stream_type: str = "EEG"
+    stream_name: str | None = None
+    """Name of the amplifier's stream; needed only where several EEG streams are on the network."""
+    source_id: str | None = None
+    rate_tolerance: Annotated[float, Field(gt=0, lt=1)] = 0.01
+    """Largest relative difference of the measured from the nominal rate (decided)."""
+    max_uv: Annotated[float, Field(gt=0)] = 5_000_000.0
+    """Samples beyond this many microvolts are not EEG but a wrong unit or a broken channel (decided)."""
+    buffer_s: Annotated[float, Field(ge=10)] = 60.0
+
+
+class ChainConfig(Section):
+    """The decoder's linear chain (paper V.A.3-4)."""
+
+    sfreq: Annotated[float, Field(gt=0)] = 256.0
+    low_hz: Annotated[float, Field(gt=0)] = 1.0
+    high_hz: Annotated[float, Field(gt=0)] = 50.0
+    phase: Literal["minimum", "linear"] = "minimum"
+    """FIR phase: minimum is ready at the end of the last window, linear waits for its delay (decided)."""
+    start_ms: float = 150.0
+    window_ms: Annotated[float, Field(gt=0)] = 30.0
+    n_windows: Count = 15
+
+
+class ClassifierConfig(Section):
+    """Shrinkage LDA and its evaluation (paper V.A.5)."""
+
+    prior_error: Annotated[float, Field(gt=0, lt=1)] = 0.5
+    """Class prior of `error`; set, not taken from the blocks' error rate (decided)."""
+    n_folds: Annotated[int, Field(ge=2)] = 10
+    min_per_class: Annotated[int, Field(ge=2)] = 20
+    """Fewest epochs of each class a decoder may be fitted on (decided)."""
+    seed: int = 0
+    """Seed of the shuffled folds and of bootstrap intervals."""
+
+
+class PolicyConfig(Section):
+    """The policy server and the gate."""
+
+    gate_accuracy: Probability = 0.70
+    """Cross-validated accuracy below which the paper sends the participant home."""
+    verdict_timeout_s: Annotated[float, Field(gt=0)] = 5.0
+    """Real seconds without a verdict after which it is said to be missing (decided)."""
+
+
+class SimulationConfig(Section):
+    """The participant and amplifier without hardware."""
+
+    sfreq: Annotated[float, Field(gt=0)] = 500.0
+    decodability: Annotated[float, Field(ge=0.5, lt=1)] = 0.75
+    """Balanced accuracy that the decoder reaches on this participant in cross-validation."""
+    errp: bool = True
+    """False switches the error-related potential off: verdicts must then be at chance."""
+    seed: int = 1
+    delay_s: Annotated[float, Field(gt=0)] = 0.04
+    """Real seconds from acquisition to emission, as an amplifier's own (decided; 10-50 ms are usual)."""
+    chunk_s: Annotated[float, Field(gt=0)] = 0.01
+    """Real seconds of samples a push (decided; 5-30 ms are advised)."""
+    background: str | None = None
+    """Path of a recording (EDF, XDF, ...) whose EEG replaces the synthetic background."""
+
+
+class Config(Section):
+    """The whole configuration; `load` reads it, `bci-app config` prints it."""
+
+    recordings: str = "recordings"
+    stimulus: StimulusConfig = StimulusConfig()
+    calibration: CalibrationConfig = CalibrationConfig()
+    online: OnlineConfig = OnlineConfig()
+    eeg: EegConfig = EegConfig()
+    chain: ChainConfig = ChainConfig()
+    classifier: ClassifierConfig = ClassifierConfig()
+    policy: PolicyConfig = PolicyConfig()
+    simulation: SimulationConfig = SimulationConfig()
+
+
+def load(path: Path | None = None, overrides: dict[str, Any] | None = None) -> Config:
+    """The defaults, overridden by a TOML (or JSON) file, overridden by ``{"section": {"key": value}}``.
+
+    Raises SetupError for a file that can't be read or parsed, an unknown key or a value out of range.
+    """
+    values = _read(path) if path else {}
+    for section, keys in (overrides or {}).items():
+        if isinstance(keys, dict):
+            values[section] = {**values.get(section, {}), **keys}
+        else:
+            values[section] = keys
+    try:
+        return Config.model_validate(values)
+    except ValidationError as error:
+        where = path or "the command line"
+        raise SetupError(f"Configuration from {where}: {_sentences(error)}") from error
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        text = path.read_text(encoding="utf-8")
+        parsed: dict[str, Any] = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+    except (OSError, UnicodeDecodeError) as error:
+        raise SetupError(f"Can't read the configuration {path}: {error}.") from error
+    except ValueError as error:
+        raise SetupError(f"{path} is not valid {'JSON' if path.suffix == '.json' else 'TOML'}: {error}.") from error
+    return parsed
+
+
+def _sentences(error: ValidationError) -> str:
+    parts = []
+    for item in error.errors():
+        key = ".".join(str(part) for part in item["loc"])
+        if item["type"] == "extra_forbidden":
+            parts.append(f"unknown key '{key}'; known: {', '.join(_known_keys(item['loc'][:-1]))}")
+        else:
+            parts.append(f"'{key}': {item['msg']}, found {item['input']!r}")
+    return "; ".join(parts) + "."
+
+
+def _known_keys(section: tuple[int | str, ...]) -> list[str]:
+    model: Any = Config
+    for name in section:
+        model = model.model_fields[str(name)].annotation
+    return list(model.model_fields)

@@ -1,0 +1,289 @@
+"""All messages and streams of the loop, in one place. docs/protocol.md is the page for other people's programs.
+
+A message is one JSON object in a one-channel string sample. Its LSL time stamp is part of it: for `MoveOnset` it is
+the session time of the flip. ``(session, episode, step)`` is the key of a move in every message.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+PROTOCOL_VERSION: Literal[1] = 1
+
+Position = tuple[int, int]
+"""(row, column), both from 0, row 0 in the north."""
+Sensed = tuple[bool, bool, bool, bool, bool]
+"""Goal sensed: here, north, south, west, east."""
+ActionName = Literal["north", "south", "west", "east"]
+VerdictUsed = Literal["error", "correct", "missing"]
+Role = Literal["stimulus", "decoder", "policy", "amplifier", "session"]
+Index = Annotated[int, Field(ge=0)]
+Step = Annotated[int, Field(ge=1)]
+
+
+class Message(BaseModel):
+    """What all messages carry. Immutable; unknown fields are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    protocol: Literal[1] = PROTOCOL_VERSION
+    session: str
+
+
+class SessionStart(Message):
+    """First message of a run: what is going to happen, on which map."""
+
+    type: Literal["SessionStart"] = "SessionStart"
+    task: Literal["calibration", "online"]
+    participant: str
+    map: str
+    layout: list[str]
+    n_episodes: int | None = None
+    n_blocks: int | None = None
+    n_moves: int | None = None
+    seed: int
+
+
+class BlockStart(Message):
+    """A block of calibration moves begins."""
+
+    type: Literal["BlockStart"] = "BlockStart"
+    block: Index
+    n_moves: int
+
+
+class BlockEnd(Message):
+    """A block is over; a break follows."""
+
+    type: Literal["BlockEnd"] = "BlockEnd"
+    block: Index
+    n_moves: int
+
+
+class EpisodeStart(Message):
+    """The agent stands at a new start. The goal is not told here: see `EpisodeGoal` on the truth stream."""
+
+    type: Literal["EpisodeStart"] = "EpisodeStart"
+    episode: Index
+    position: Position
+    sensed: Sensed
+    max_steps: int
+
+
+class MoveOnset(Message):
+    """The agent jumped; the LSL stamp is the time of the flip that showed it."""
+
+    type: Literal["MoveOnset"] = "MoveOnset"
+    episode: Index
+    step: Step
+    action: ActionName
+    position: Position
+    sensed: Sensed
+
+
+class EpisodeEnd(Message):
+    """The episode is over, a rest after its last move."""
+
+    type: Literal["EpisodeEnd"] = "EpisodeEnd"
+    episode: Index
+    steps: Index
+    reason: Literal["goal", "limit", "block", "aborted"]
+
+
+class Pause(Message):
+    """The stimulus waits; it says for what."""
+
+    type: Literal["Pause"] = "Pause"
+    reason: str
+
+
+class Resume(Message):
+    """The stimulus goes on after a pause."""
+
+    type: Literal["Resume"] = "Resume"
+
+
+class SessionEnd(Message):
+    """Last message of a run."""
+
+    type: Literal["SessionEnd"] = "SessionEnd"
+    reason: Literal["complete", "interrupted", "failed"]
+    text: str = ""
+
+
+class EpisodeGoal(Message):
+    """Truth stream only: where the goal of an episode is."""
+
+    type: Literal["EpisodeGoal"] = "EpisodeGoal"
+    episode: Index
+    goal: Position
+    distance: Index
+
+
+class Truth(Message):
+    """Truth stream only: whether the move made the shortest path to the goal longer. Stamp: the move's onset."""
+
+    type: Literal["Truth"] = "Truth"
+    episode: Index
+    step: Step
+    error: bool
+    distance: Index
+
+
+class Verdict(Message):
+    """The decoder's word on a move. Stamp: session time at which it was pushed.
+
+    `outcome` is `rejected` when the epoch can't be judged (`reason` says why) and `unjudged` in a calibration, when
+    there is no decoder yet and the epoch is only checked.
+    """
+
+    type: Literal["Verdict"] = "Verdict"
+    episode: Index
+    step: Step
+    outcome: Literal["error", "correct", "rejected", "unjudged"]
+    reason: str | None = None
+    log_odds: float | None = None
+    """Natural log of P(error)/P(correct) under the classifier's priors."""
+    clock_offset: float
+    """Seconds added to the onset's stamp to put it on the EEG stream's clock."""
+    first_time: float | None = None
+    """Raw stamp of the first EEG sample used."""
+    n_samples: Index = 0
+    digest: str | None = None
+    """First 16 hex digits of the SHA-256 of the features (float64, little-endian, in order)."""
+    latency_ms: float | None = None
+    """Real milliseconds from the arrival of the last needed sample at the decoder to the push of this message."""
+
+
+class Action(Message):
+    """The policy's next move: what to do at `step` of `episode`."""
+
+    type: Literal["Action"] = "Action"
+    episode: Index
+    step: Step
+    action: ActionName
+    probabilities: tuple[float, float, float, float]
+    verdict: VerdictUsed
+    """The verdict of the move before, as the policy took it; `missing` before the first move."""
+    latency_ms: float | None = None
+    """Real milliseconds from the verdict's arrival (or the episode's start) to the push of this message."""
+
+
+class Status(Message):
+    """How a process is doing; repeated every second, so that late listeners hear it."""
+
+    type: Literal["Status"] = "Status"
+    role: Role
+    state: Literal["waiting", "ready", "running", "done", "failed"]
+    text: str = ""
+
+
+class Note(Message):
+    """Something a reader of the recording must know: a lost peer, a late truth, a refused message."""
+
+    type: Literal["Note"] = "Note"
+    role: Role
+    level: Literal["info", "warning", "error"]
+    text: str
+
+
+class Command(Message):
+    """From bci-app to the stimulus: begin, or stop as soon as possible."""
+
+    type: Literal["Command"] = "Command"
+    command: Literal["start", "stop"]
+
+
+AnyMessage = (
+    SessionStart
+    | BlockStart
+    | BlockEnd
+    | EpisodeStart
+    | MoveOnset
+    | EpisodeEnd
+    | Pause
+    | Resume
+    | SessionEnd
+    | EpisodeGoal
+    | Truth
+    | Verdict
+    | Action
+    | Status
+    | Note
+    | Command
+)
+_adapter: TypeAdapter[AnyMessage] = TypeAdapter(Annotated[AnyMessage, Field(discriminator="type")])
+
+
+class BadMessage(ValueError):
+    """A sample that is no message of this protocol."""
+
+
+def encode(message: Message) -> str:
+    """The JSON text of a message; floats survive to the bit."""
+    return message.model_dump_json(exclude_none=True)
+
+
+def decode(text: str, session: str | None = None) -> AnyMessage:
+    """Parse a message. Raises BadMessage for anything else, and for another session's message."""
+    try:
+        message = _adapter.validate_json(text)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise BadMessage(f"expected a message of protocol {PROTOCOL_VERSION}; found {where}: {first['msg']}") from error
+    if session is not None and message.session != session:
+        raise BadMessage(f"expected session '{session}'; found a message of session '{message.session}'")
+    return message
+
+
+@dataclass(frozen=True)
+class StreamSpec:
+    """A stream of the loop. Name and source id are what others resolve; the source id carries the session."""
+
+    name: str
+    kind: str
+    role: Role
+    string: bool = True
+
+    PREFIX: ClassVar[str] = "bci-app"
+
+    def source_id(self, session: str) -> str:
+        """Stable over restarts of the process, different for every session."""
+        return f"{self.PREFIX}/{session}/{self.name}"
+
+
+STIMULUS = StreamSpec("bci-stimulus", "Events", "stimulus")
+TRUTH = StreamSpec("bci-truth", "Truth", "stimulus")
+MARKERS = StreamSpec("bci-markers", "Markers", "stimulus", string=False)
+VERDICTS = StreamSpec("bci-verdicts", "Events", "decoder")
+ACTIONS_STREAM = StreamSpec("bci-actions", "Events", "policy")
+AMPLIFIER_NOTES = StreamSpec("bci-amplifier", "Events", "amplifier")
+SESSION = StreamSpec("bci-session", "Events", "session")
+STREAMS = (STIMULUS, TRUTH, MARKERS, VERDICTS, ACTIONS_STREAM, AMPLIFIER_NOTES, SESSION)
+
+ACTION_CODES: dict[str, int] = {"north": 1, "south": 2, "west": 3, "east": 4}
+PLAIN_CODES = {
+    "EpisodeStart": 20,
+    "Pause": 30,
+    "Resume": 31,
+    "SessionStart": 100,
+    "SessionEnd": 101,
+    "BlockStart": 110,
+    "BlockEnd": 111,
+}
+END_CODES = {"goal": 21, "limit": 22, "block": 23, "aborted": 24}
+
+
+def marker_code(message: Message) -> int | None:
+    """The int32 twin of a stimulus message for tools that can't read strings; None for those without one.
+
+    No code tells the truth of a move: whoever reads the markers can't peek.
+    """
+    match message:
+        case MoveOnset():
+            return ACTION_CODES[message.action]
+        case EpisodeEnd():
+            return END_CODES[message.reason]
+        case _:
+            return PLAIN_CODES.get(type(message).__name__)

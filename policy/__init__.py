@@ -1,0 +1,1 @@
+"""From verdicts and sensors to the next move: observation, network, training, evaluation, server."""
