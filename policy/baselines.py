@@ -14,6 +14,10 @@ from policy.simulator import Bools, Floats, Ints, VerdictModel
 
 Belief = NDArray[np.float32]
 
+# How the greedy move weighs near against far goals. Ours: of 0.4, 0.6, .. 0.95 the fewest steps at 70-80 % on both
+# maps. Towards 1 it minimises the expected distance, which dithers in the middle of a wide belief.
+NEARNESS = 0.6
+
 
 @cache
 def error_table(world: GridWorld) -> NDArray[np.int64]:
@@ -22,9 +26,15 @@ def error_table(world: GridWorld) -> NDArray[np.int64]:
 
 
 @cache
-def closer_table(world: GridWorld) -> NDArray[np.float32]:
-    """Whether a move shortens the path (1) for each goal, (n_cells, 4, n_cells): cell left, action, goal."""
-    return (world.distance[world.next_cell] < world.distance[:, None]).astype(np.float32)
+def nearness_table(world: GridWorld) -> NDArray[np.float32]:
+    """``NEARNESS`` to the power of the distance left, (n_cells, 4, n_cells): cell left, action, goal."""
+    return (NEARNESS ** world.distance[world.next_cell]).astype(np.float32)
+
+
+def _sense_code(sensed: Bools) -> Ints:
+    """What is sensed, (..., 5), as one number: 0 nothing, 1 here, 2 .. 5 through an action."""
+    code: Ints = np.where(sensed.any(axis=-1), sensed.argmax(axis=-1) + 1, 0)
+    return code
 
 
 class BayesFilter:
@@ -54,41 +64,33 @@ class BayesFilter:
         """Start the episodes of the mask ``which``, (n,), from the prior and what is sensed at the start."""
         start = view.cell[which]
         self._cell[which] = start
-        self.belief[which] = self._prior[start] * self._senses(start, view.sensed[which])
+        self.belief[which] = self._prior[start] * self._agrees(start, view.sensed[which])
         self._normalise()
 
     def update(self, view: View) -> None:
         """Take in one move of every episode: its verdict and what is sensed where it led."""
         error = error_table(self.world)[self._cell, view.action]
         self.belief *= self._likelihood[view.verdict[:, None], error]
-        self.belief *= self._senses(view.cell, view.sensed)
+        self.belief *= self._agrees(view.cell, view.sensed)
         self._cell = view.cell.copy()
         self._normalise()
 
-    def progress(self) -> NDArray[np.float32]:
-        """Probability that each action shortens the path, (n, 4); -1 where it is illegal."""
-        closer = closer_table(self.world)[self._cell]
-        # Every move changes the distance by one (a grid has no odd cycles), so the largest probability
-        # is also the smallest expected distance.
-        chance = np.matmul(closer, self.belief[:, :, None])[:, :, 0]
-        return np.where(self.world.legal[self._cell], chance, np.float32(-1))
+    def worth(self) -> NDArray[np.float32]:
+        """Expected nearness of the goal after each action, (n, 4); -1 where it is illegal."""
+        nearness = nearness_table(self.world)[self._cell]
+        expected = np.matmul(nearness, self.belief[:, :, None])[:, :, 0]
+        return np.where(self.world.legal[self._cell], expected, np.float32(-1))
 
     def greedy(self, rng: np.random.Generator) -> Ints:
-        """The action most likely to shorten the path, (n,); equal ones are drawn."""
-        progress = self.progress()
-        return np.argmax(progress + 1e-6 * rng.random((len(progress), N_ACTIONS)), axis=1)
+        """The action of most worth, (n,); equal ones are drawn."""
+        worth = self.worth()
+        actions: Ints = np.argmax(worth * (1 + 1e-6 * rng.random((len(worth), N_ACTIONS))), axis=1)
+        return actions
 
-    def _senses(self, cell: Ints, sensed: Bools) -> Bools:
-        """Goals that agree with what is sensed, (n, n_cells): the one sensed, else all that would not be."""
-        hidden = self._hidden()[cell]
-        goal = np.concatenate([cell[:, None], self.world.next_cell[cell]], axis=1)[
-            np.arange(len(cell)), np.argmax(sensed, axis=1)
-        ]
-        only = goal[:, None] == np.arange(self.world.n_cells)
-        return np.where(sensed.any(axis=1)[:, None], only, hidden)
-
-    def _hidden(self) -> Bools:
-        return ~sensed_table(self.world).any(axis=2)
+    def _agrees(self, cell: Ints, sensed: Bools) -> Bools:
+        """Goals for which just this would be sensed in the cells, (n, n_cells)."""
+        agrees: Bools = _sense_code(sensed_table(self.world))[cell] == _sense_code(sensed)[:, None]
+        return agrees
 
     def _normalise(self) -> None:
         self.belief /= np.maximum(self.belief.sum(axis=1, keepdims=True), np.finfo(np.float32).tiny)

@@ -55,6 +55,7 @@ def fields(world: GridWorld) -> dict[str, slice]:
         "verdict_given": 1,
         "sensed": 1 + N_ACTIONS,
         "action": N_ACTIONS,
+        "judged_action": N_ACTIONS,
         "legal": N_ACTIONS,
         "step": 1,
         "row": world.height,
@@ -67,7 +68,7 @@ def fields(world: GridWorld) -> dict[str, slice]:
 
 def input_size(world: GridWorld) -> int:
     """Number of inputs of the network on this map."""
-    return fields(world)["visited"].stop
+    return int(fields(world)["visited"].stop)
 
 
 def encode(world: GridWorld, view: View) -> NDArray[np.float32]:
@@ -80,6 +81,7 @@ def encode(world: GridWorld, view: View) -> NDArray[np.float32]:
     inputs[:, fields(world)["sensed"]] = view.sensed
     moved = view.action != NO_ACTION
     inputs[rows[moved], at["action"] + view.action[moved]] = 1
+    inputs[rows[moved], at["judged_action"] + view.action[moved]] = view.verdict[moved]
     inputs[:, fields(world)["legal"]] = world.legal[view.cell]
     inputs[:, at["step"]] = np.minimum(view.step / STEP_LIMIT, 1)
     inputs[rows, at["row"] + world.cells[view.cell, 0]] = 1

@@ -67,17 +67,17 @@ def pair_weights(world: GridWorld, distribution: Distribution) -> Floats:
     ``MIN_DISTANCE`` to ``MAX_DISTANCE`` alike, as in the experiment. ``mixture``: half of each, to train on.
     """
     if distribution == "mixture":
-        return (pair_weights(world, "pairs") + pair_weights(world, "distances")) / 2
+        return 0.5 * pair_weights(world, "pairs") + 0.5 * pair_weights(world, "distances")
     far = world.distance >= MIN_DISTANCE
     if not far.any():
         raise SetupError(
             f"Map '{world.name}' must have two cells at least {MIN_DISTANCE} moves apart, but has none. Enlarge it."
         )
-    if distribution == "pairs":
-        return far / far.sum()
-    count = np.bincount(world.distance.ravel())
-    weight = np.where(far & (world.distance <= MAX_DISTANCE), 1 / count[world.distance], 0.0)
-    return weight / weight.sum()
+    weight: Floats = far.astype(float)
+    if distribution == "distances":
+        count = np.bincount(world.distance.ravel())
+        weight = np.where(far & (world.distance <= MAX_DISTANCE), 1 / count[world.distance], 0.0)
+    return weight / float(weight.sum())
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class Simulator:
         self.cell = self.world.next_cell[self.cell, action]
         error = distance[self.cell, self.goal] > before
         self.verdict = self.verdicts.draw(error, self.rng)
-        self.action = action
+        self.action = action.copy()
         self.visited[np.arange(self.n), self.cell] = True
         self.step_number += 1
         terminated = self.cell == self.goal

@@ -1,0 +1,268 @@
+"""The command `bci-app`. Each verb parses its words, calls one function and prints what came of it."""
+
+import json
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as RichProgress
+from typer.core import TyperGroup
+
+from bci_app import threads  # noqa: F401  isort: skip  -- before anything loads linear algebra
+from bci_app import config as configuration
+from bci_app import process_cli
+from bci_app.errors import LinkLost, SetupError
+from bci_app.progress import Progress
+
+INTERRUPTED = 130
+
+
+class Verbs(TyperGroup):
+    """Turns what went wrong into one sentence and an exit code; only our own mistakes get a traceback."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the chosen verb."""
+        try:
+            return super().invoke(ctx)
+        except (SetupError, LinkLost) as error:
+            typer.echo(f"Error: {error}", err=True)
+            raise typer.Exit(error.exit_code) from error
+        except KeyboardInterrupt as interrupt:
+            typer.echo("Interrupted.", err=True)
+            raise typer.Exit(INTERRUPTED) from interrupt
+
+
+app = typer.Typer(
+    name="bci-app",
+    cls=Verbs,
+    help="Closed-loop ErrP BCI: calibrate a participant, run online sessions, replay recordings exactly.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+ConfigOption = Annotated[Path | None, typer.Option("--config", help="TOML file overriding defaults.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")]
+ParticipantOption = Annotated[str, typer.Option("--participant", help="Letters and digits, as in P001.")]
+VisitOption = Annotated[str, typer.Option("--visit", help="BIDS session label of this visit.")]
+SimulateOption = Annotated[bool, typer.Option("--simulate", help="A simulated participant instead of an amplifier.")]
+SpeedOption = Annotated[float, typer.Option("--speed", help="Session seconds a real second; needs --simulate.")]
+SeedOption = Annotated[int | None, typer.Option("--seed", help="Seed of the run; drawn and recorded if not given.")]
+HeadlessOption = Annotated[bool, typer.Option("--headless", help="Draw without a screen.")]
+RemoteOption = Annotated[
+    list[str] | None, typer.Option("--remote", help="Role started by hand elsewhere (repeatable): decoder, policy ...")
+]
+DecodabilityOption = Annotated[
+    float | None, typer.Option("--decodability", help="Simulated participant's balanced accuracy, 0.5 to 1.")
+]
+BackgroundOption = Annotated[
+    Path | None, typer.Option("--background", help="Recorded EEG (EDF ...) the simulated participant's brain plays.")
+]
+SimulationSeedOption = Annotated[
+    int | None, typer.Option("--participant-seed", help="Seed of the simulated participant: who it is.")
+]
+
+
+@app.command(rich_help_panel="In the lab")
+def calibrate(
+    participant: ParticipantOption,
+    visit: VisitOption = "S001",
+    simulate: SimulateOption = False,
+    speed: SpeedOption = 1.0,
+    seed: SeedOption = None,
+    headless: HeadlessOption = False,
+    decodability: DecodabilityOption = None,
+    background: BackgroundOption = None,
+    participant_seed: SimulationSeedOption = None,
+    session: Annotated[str | None, typer.Option("--session", help="Session id, for --remote processes.")] = None,
+    remote: RemoteOption = None,
+    config: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Record a calibration: 5 blocks of 120 moves."""
+    from bci_app import verbs
+
+    settings = configuration.load(config, _overrides(headless, decodability, background, participant_seed))
+    wishes = verbs.Wishes(settings, participant, visit, simulate, speed, seed, session, tuple(remote or ()))
+    with _progress(as_json) as progress:
+        outcome = verbs.calibrate(wishes, progress)
+    _finish(outcome, as_json, f"Next: bci-app fit {outcome['recording']}")
+
+
+@app.command(rich_help_panel="In the lab")
+def fit(
+    recording: Annotated[Path, typer.Argument(help="A recorded calibration (.xdf).")],
+    allow_damage: Annotated[bool, typer.Option("--allow-damage", help="Use what a damaged file still holds.")] = False,
+    config: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Fit a decoder on a calibration and cross-validate it."""
+    from bci_app import fitting
+
+    with _progress(as_json) as progress:
+        result = fitting.fit(recording, configuration.load(config), allow_damage, progress)
+    _finish(result, as_json, "Next: bci-app online --participant ... --map open")
+
+
+@app.command(rich_help_panel="In the lab")
+def online(
+    participant: ParticipantOption,
+    map_name: Annotated[str, typer.Option("--map", help="open, obstacles or a map file.")],
+    visit: VisitOption = "S001",
+    model: Annotated[Path | None, typer.Option("--model", help="Decoder; default: the participant's newest.")] = None,
+    policy: Annotated[
+        str | None, typer.Option("--policy", help="Policy file, accuracy (0.75) or none; default: nearest to the CV.")
+    ] = None,
+    below_gate: Annotated[
+        bool, typer.Option("--below-gate", help="Run although the decoder's accuracy is below the gate.")
+    ] = False,
+    simulate: SimulateOption = False,
+    speed: SpeedOption = 1.0,
+    seed: SeedOption = None,
+    headless: HeadlessOption = False,
+    decodability: DecodabilityOption = None,
+    background: BackgroundOption = None,
+    participant_seed: SimulationSeedOption = None,
+    no_errp: Annotated[bool, typer.Option("--no-errp", help="Control: the simulated brain doesn't react.")] = False,
+    session: Annotated[str | None, typer.Option("--session", help="Session id, for --remote processes.")] = None,
+    remote: RemoteOption = None,
+    config: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run an online session: one episode for each initial distance, steered by the verdicts."""
+    from bci_app import verbs
+
+    settings = configuration.load(config, _overrides(headless, decodability, background, participant_seed, no_errp))
+    wishes = verbs.Wishes(settings, participant, visit, simulate, speed, seed, session, tuple(remote or ()))
+    with _progress(as_json) as progress:
+        outcome = verbs.online(wishes, map_name, model, policy, below_gate, progress)
+    _finish(outcome, as_json, f"Next: bci-app replay {outcome['recording']}")
+
+
+@app.command(rich_help_panel="Afterwards")
+def replay(
+    recording: Annotated[Path, typer.Argument(help="A recorded run (.xdf).")],
+    model: Annotated[Path | None, typer.Option("--model", help="Decoder; default: the one the sidecar names.")] = None,
+    policy: Annotated[Path | None, typer.Option("--policy", help="Policy; default: the one the sidecar names.")] = None,
+    allow_damage: Annotated[bool, typer.Option("--allow-damage", help="Use what a damaged file still holds.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Run a recording through the same functions again and compare every verdict and action."""
+    from bci_app import replay as replaying
+
+    with _progress(as_json) as progress:
+        result = replaying.replay(recording, model, policy, allow_damage, progress)
+    _finish(result, as_json)
+    if not replaying.is_equal(result):
+        raise typer.Exit(1)
+
+
+@app.command(rich_help_panel="In the lab")
+def doctor(
+    model: Annotated[Path | None, typer.Option("--model", help="Decoder the EEG stream must fit.")] = None,
+    config: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Say which streams are there, whether the EEG fits, and what is missing."""
+    from bci_app import doctor as doctoring
+
+    result = doctoring.examine(configuration.load(config), model)
+    if as_json:
+        _print_json(result)
+    else:
+        doctoring.show(result, Console())
+    if not result["fit"]:
+        raise typer.Exit(SetupError.exit_code)
+
+
+@app.command(rich_help_panel="Afterwards")
+def demo(
+    speed: SpeedOption = 20.0,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of participant and runs.")] = 1,
+    decodability: DecodabilityOption = None,
+    background: BackgroundOption = None,
+    config: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """The whole experiment with a simulated participant: calibrate, fit, online on both maps, replay."""
+    from bci_app import demo as demonstration
+
+    settings = configuration.load(config, _overrides(True, decodability, background, seed))
+    with _progress(as_json) as progress:
+        summary = demonstration.run(settings, speed, seed, progress)
+    if as_json:
+        _print_json(summary)
+    else:
+        demonstration.show(summary, Console())
+    if not demonstration.is_good(summary):
+        raise typer.Exit(1)
+
+
+@app.command("config", rich_help_panel="Afterwards")
+def show_config(config: ConfigOption = None) -> None:
+    """Print the resolved configuration as JSON."""
+    typer.echo(configuration.load(config).model_dump_json(indent=2))
+
+
+def _overrides(
+    headless: bool,
+    decodability: float | None,
+    background: Path | None,
+    participant_seed: int | None,
+    no_errp: bool = False,
+) -> dict[str, Any]:
+    simulation = {
+        "decodability": decodability,
+        "background": str(background) if background else None,
+        "seed": participant_seed,
+        "errp": False if no_errp else None,
+    }
+    given = {key: value for key, value in simulation.items() if value is not None}
+    return {"simulation": given} | ({"stimulus": {"headless": True}} if headless else {})
+
+
+def _finish(result: dict[str, Any], as_json: bool, hint: str = "") -> None:
+    if as_json:
+        _print_json(result)
+        return
+    console = Console()
+    for key, value in result.items():
+        console.print(f"[bold]{key}[/bold]: {value}", highlight=False, soft_wrap=True)
+    if hint:
+        console.print(hint, style="dim", soft_wrap=True)
+
+
+def _print_json(result: dict[str, Any]) -> None:
+    typer.echo(json.dumps(result, indent=2))
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Progress]:
+    """A bar with a time to go on stderr; none with --json or where nobody watches."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with RichProgress(*columns, console=console, disable=quiet or not console.is_terminal) as bar:
+        task = bar.add_task("starting", total=None)
+
+        def report(what: str, done: int, total: int) -> None:
+            bar.update(task, description=what, completed=done, total=total)
+
+        yield report
+
+
+def _terminated(_signal: int, _frame: object) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def main() -> None:
+    """Run bci-app: exit code 0 fine, 2 the user's or the set-up's mistake, 3 lost a link, 130 interrupted."""
+    signal.signal(signal.SIGTERM, _terminated)
+    app()
+
+
+process_cli.register(app)

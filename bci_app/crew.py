@@ -1,0 +1,75 @@
+"""The processes of a run: started, watched and ended together."""
+
+import logging
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import IO
+
+from bci_app.errors import LinkLost, SetupError
+from bci_app.protocol import Role
+
+log = logging.getLogger(__name__)
+
+END_TIMEOUT_S = 15.0
+"""Real seconds a process may take to exit after it was asked to."""
+
+
+class Crew:
+    """The processes of a run, each in its own group so that Ctrl-C reaches only bci-app."""
+
+    def __init__(self, logs: Path) -> None:
+        self._logs = logs
+        self._processes: dict[Role, subprocess.Popen[bytes]] = {}
+        self._files: list[IO[bytes]] = []
+
+    def start(self, role: Role, arguments: list[str]) -> None:
+        """Start a process; what it logs goes to its own file."""
+        file = (self._logs / f"{role}.log").open("wb")
+        self._files.append(file)
+        self._processes[role] = subprocess.Popen(
+            [sys.executable, "-m", "bci_app", role, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=file,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+
+    def check(self) -> None:
+        """Raise when a process has ended on its own: SetupError for the user's mistake, LinkLost otherwise."""
+        for role, process in self._processes.items():
+            code = process.poll()
+            if code not in (None, 0):
+                raise self._failure(role, int(code))
+
+    def _failure(self, role: Role, code: int) -> Exception:
+        path = self._logs / f"{role}.log"
+        lines = path.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        last = lines[-1].removeprefix("Error: ") if lines else "it said nothing"
+        if code == SetupError.exit_code:
+            return SetupError(last)
+        return LinkLost(f"The {role} process ended with code {code}: {last} (log: {path}).")
+
+    def ended(self) -> set[Role]:
+        """Roles whose process is not running any more."""
+        return {role for role, process in self._processes.items() if process.poll() is not None}
+
+    def pids(self) -> dict[str, int]:
+        """Process ids by role."""
+        return {role: process.pid for role, process in self._processes.items()}
+
+    def end(self) -> None:
+        """Ask those that still run to end, then wait; kill what doesn't listen."""
+        for process in self._processes.values():
+            if process.poll() is None:
+                process.send_signal(signal.SIGTERM)
+        for role, process in self._processes.items():
+            try:
+                process.wait(END_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                log.warning("The %s process doesn't end; killing it.", role)
+                process.kill()
+                process.wait()
+        for file in self._files:
+            file.close()

@@ -1,0 +1,114 @@
+"""The whole experiment with a simulated participant, and one table that says how it went."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from bci_app import fitting, metrics, verbs
+from bci_app import replay as replaying
+from bci_app.config import Config
+from bci_app.gridworld import SHIPPED_MAPS
+from bci_app.progress import Progress
+from bci_app.recording import read
+
+PARTICIPANT = "DEMO"
+
+
+def run(config: Config, speed: float, seed: int, progress: Progress) -> dict[str, Any]:
+    """Calibrate, fit, go online on both maps, replay all three; the summary is also written as ``summary.json``."""
+    wishes = verbs.Wishes(config, PARTICIPANT, _free_visit(Path(config.recordings)), True, speed, seed)
+    calibrated = verbs.calibrate(wishes, _named(progress, "1/4 calibrate"))
+    fitted = fitting.fit(Path(calibrated["recording"]), config, False, _named(progress, "2/4 fit"))
+    runs = {}
+    for number, name in enumerate(SHIPPED_MAPS):
+        wish = replace(wishes, seed=seed + 1 + number)
+        told = _named(progress, f"3/4 online {name}")
+        runs[name] = verbs.online(wish, name, Path(fitted["model"]), None, True, told)
+    paths = [Path(calibrated["recording"]), *(Path(told["recording"]) for told in runs.values())]
+    replays = [replaying.replay(path, None, None, False, _named(progress, "4/4 replay")) for path in paths]
+    summary = _summary(fitted, runs, replays, paths)
+    _write(summary, Path(config.recordings), paths[0])
+    return summary
+
+
+def is_good(summary: dict[str, Any]) -> bool:
+    """Whether everything was recorded and replayed as it should be."""
+    calibration, same = summary["calibration"], replaying.is_equal(summary)
+    return same and calibration["n_valid"] == calibration["n_moves"] > 0
+
+
+def _summary(
+    fitted: dict[str, Any], runs: dict[str, dict[str, Any]], replays: list[dict[str, Any]], paths: list[Path]
+) -> dict[str, Any]:
+    recordings = {name: read(Path(told["recording"])) for name, told in runs.items()}
+    return {
+        "calibration": fitted["calibration"],
+        "model": fitted["model"],
+        "policy": {name: told["policy"] for name, told in runs.items()},
+        "online": {name: metrics.online([recording]) for name, recording in recordings.items()},
+        "latency": metrics.latencies(list(recordings.values())),
+        "replay": {key: sum(result["replay"][key] for result in replays) for key in replays[0]["replay"]},
+        "differences": [text for result in replays for text in result["differences"]],
+        "replay_seconds": [result["seconds"] for result in replays],
+        "recordings": [str(path) for path in paths],
+    }
+
+
+def _write(summary: dict[str, Any], folder: Path, recording: Path) -> None:
+    """Beside the recordings it tells of, and the newest one where it is easily found."""
+    text = json.dumps(summary, indent=2) + "\n"
+    for path in (recording.parent.parent / "summary.json", folder / "summary.json"):
+        path.write_text(text, encoding="utf-8")
+
+
+def _free_visit(folder: Path) -> str:
+    number = 1
+    while (folder / f"sub-{PARTICIPANT}" / f"ses-S{number:03d}").exists():
+        number += 1
+    return f"S{number:03d}"
+
+
+def _named(progress: Progress, stage: str) -> Progress:
+    def report(what: str, done: int, total: int) -> None:
+        progress(f"{stage}: {what}", done, total)
+
+    return report
+
+
+def show(summary: dict[str, Any], console: Console) -> None:
+    """The summary as one table."""
+    table = Table("figure", "value", title="Demo: one simulated participant, all of the experiment")
+    calibration, latency, replay = summary["calibration"], summary["latency"], summary["replay"]
+    table.add_row("valid epochs", f"{calibration['n_valid']} of {calibration['n_moves']}")
+    for name in ("accuracy", "balanced_accuracy", "auc"):
+        interval = calibration["tenfold"][name]
+        blocked = calibration["blocked"][name]["value"]
+        text = (
+            f"{interval['value']:.3f} [{interval['low']:.3f}, {interval['high']:.3f}], contiguous folds {blocked:.3f}"
+        )
+        table.add_row(f"cross-validated {name.replace('_', ' ')}", text)
+    for name, figures in summary["online"].items():
+        table.add_section()
+        table.add_row(f"{name}: policy", summary["policy"][name])
+        table.add_row(f"{name}: success", f"{_percent(figures['success'])} of {figures['n_episodes']} episodes")
+        table.add_row(f"{name}: mean steps", f"{figures['mean_steps']:.2f}")
+        accuracy = f"{_percent(figures['verdict_accuracy'])}, balanced {_percent(figures['verdict_balanced_accuracy'])}"
+        table.add_row(f"{name}: verdict accuracy", accuracy)
+    table.add_section()
+    for name in ("verdict", "action"):
+        table.add_row(
+            f"{name} latency p50 / p99", " / ".join(f"{latency[f'{name}_{p}_ms']:.2f} ms" for p in ("p50", "p99"))
+        )
+    table.add_row("replay: verdicts equal", f"{replay['verdicts_equal']} of {replay['verdicts']}")
+    table.add_row("replay: actions equal", f"{replay['actions_equal']} of {replay['actions']}")
+    console.print(table)
+    for path in summary["recordings"]:
+        console.print(path, style="dim", soft_wrap=True)
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{share:.1%}"

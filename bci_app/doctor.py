@@ -1,0 +1,74 @@
+"""Which streams are there, does the EEG fit, what is missing: a first look before a participant comes."""
+
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from bci_app.config import Config
+from bci_app.errors import LinkLost, SetupError
+from bci_app.lsl import EegInlet, all_streams, find_eeg, local_clock
+
+RATE_S = 3.0
+"""Real seconds of EEG over which the rate is measured."""
+
+
+def examine(config: Config, model_path: Path | None) -> dict[str, Any]:
+    """``streams`` on the network, ``checks`` (what, ok, text), and ``fit``: whether all checks passed."""
+    streams = all_streams()
+    checks = [_check("streams on the network", bool(streams), f"{len(streams)} found")]
+    try:
+        info = find_eeg(config.eeg, timeout=2.0)
+        inlet = EegInlet(info, config.eeg.buffer_s)
+        description = inlet.description
+        text = f"'{description.name}', {len(description.picks)} EEG channels at {description.sfreq:g} Hz"
+        checks += [_check("EEG stream with labels and units", True, text), _rate(inlet, config)]
+        if model_path:
+            checks.append(_fits(model_path, inlet))
+    except (SetupError, LinkLost) as error:
+        checks.append(_check("EEG stream with labels and units", False, str(error)))
+    return {"streams": streams, "checks": checks, "fit": all(check["ok"] for check in checks)}
+
+
+def _rate(inlet: EegInlet, config: Config) -> dict[str, Any]:
+    import numpy as np
+
+    from decoder.timeline import check_rate
+
+    description, chunks, started = inlet.description, [], local_clock()
+    while local_clock() - started < RATE_S:
+        chunks.append(inlet.pull(0.1)[1])
+    times = np.concatenate(chunks)
+    try:
+        rate = check_rate(times, description.sfreq, description.name, config.eeg.rate_tolerance)
+    except SetupError as error:
+        return _check("samples at the nominal rate", False, str(error))
+    return _check("samples at the nominal rate", True, f"{rate:.2f} Hz over {RATE_S:g} s")
+
+
+def _fits(model_path: Path, inlet: EegInlet) -> dict[str, Any]:
+    from decoder.model import fit_stream, load
+
+    description = inlet.description
+    try:
+        fit_stream(load(model_path), description.name, description.picked, description.sfreq)
+    except SetupError as error:
+        return _check("EEG fits the decoder", False, str(error))
+    return _check("EEG fits the decoder", True, f"all channels of {model_path.name} are there")
+
+
+def _check(what: str, ok: bool, text: str) -> dict[str, Any]:
+    return {"check": what, "ok": ok, "text": text}
+
+
+def show(result: dict[str, Any], console: Console) -> None:
+    """The findings as two tables."""
+    streams = Table("name", "type", "channels", "Hz", "source id", "host", title="Streams")
+    for stream in result["streams"]:
+        values = ("name", "type", "channels", "sfreq", "source_id", "hostname")
+        streams.add_row(*(str(stream[key]) for key in values))
+    checks = Table("", "check", "found", title="Checks")
+    for check in result["checks"]:
+        checks.add_row("[green]ok[/]" if check["ok"] else "[red]no[/]", check["check"], check["text"])
+    console.print(streams, checks)

@@ -1,0 +1,242 @@
+"""LabStreamingLayer: the only module that touches pylsl.
+
+Inlets deliver raw stamps: no clock synchronisation, no dejittering. Who needs times on another clock maps them
+himself and says so, which is what makes a replay exact.
+"""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pylsl
+from numpy.typing import NDArray
+
+from bci_app.clock import Clock
+from bci_app.config import EegConfig
+from bci_app.eeg import EegDescription
+from bci_app.errors import LinkLost, SetupError
+from bci_app.protocol import PROTOCOL_VERSION, AnyMessage, BadMessage, Message, StreamSpec, decode, encode
+
+log = logging.getLogger(__name__)
+
+OPEN_TIMEOUT_S = 10.0
+"""Real seconds a stream that was just resolved may take to open, and to describe itself."""
+
+
+def local_clock() -> float:
+    """LSL's clock of this machine, in seconds."""
+    return float(pylsl.local_clock())
+
+
+class MessageOutlet:
+    """Publishes protocol messages on one of our string streams."""
+
+    def __init__(self, spec: StreamSpec, session: str) -> None:
+        info = pylsl.StreamInfo(spec.name, spec.kind, 1, pylsl.IRREGULAR_RATE, "string", spec.source_id(session))
+        _describe_ours(info, session)
+        self._outlet = pylsl.StreamOutlet(info)
+
+    def push(self, message: Message, stamp: float) -> None:
+        """Send a message with its session time."""
+        self._outlet.push_sample([encode(message)], stamp)
+
+
+class MarkerOutlet:
+    """Publishes int32 codes for tools that can't read strings."""
+
+    def __init__(self, spec: StreamSpec, session: str) -> None:
+        info = pylsl.StreamInfo(spec.name, spec.kind, 1, pylsl.IRREGULAR_RATE, "int32", spec.source_id(session))
+        _describe_ours(info, session)
+        info.desc().child("channels").first_child().append_child_value("label", "code")
+        self._outlet = pylsl.StreamOutlet(info)
+
+    def push(self, code: int, stamp: float) -> None:
+        """Send a code with its session time."""
+        self._outlet.push_sample([code], stamp)
+
+
+class EegOutlet:
+    """Publishes EEG in microvolts, as an amplifier does."""
+
+    def __init__(self, description: EegDescription, session: str) -> None:
+        info = pylsl.StreamInfo(
+            description.name,
+            "EEG",
+            len(description.channels),
+            description.sfreq,
+            "float32",
+            description.source_id,
+        )
+        info.set_channel_labels(list(description.channels))
+        info.set_channel_units(list(description.units))
+        info.set_channel_types(list(description.types))
+        info.desc().append_child_value("session", session)
+        self._outlet = pylsl.StreamOutlet(info)
+
+    def push(self, samples: NDArray[np.float32], stamps: NDArray[np.float64]) -> None:
+        """Send samples (n_times, n_channels), each with its own session time."""
+        self._outlet.push_chunk(samples, stamps.tolist())
+
+
+def _describe_ours(info: pylsl.StreamInfo, session: str) -> None:
+    desc = info.desc()
+    desc.append_child_value("manufacturer", "errp-bci")
+    desc.append_child_value("session", session)
+    desc.append_child_value("protocol", str(PROTOCOL_VERSION))
+    desc.append_child("channels").append_child("channel")
+
+
+@dataclass(frozen=True)
+class Received:
+    """A message with its stamp (sender's session time) and the real time at which it was pulled."""
+
+    message: AnyMessage
+    stamp: float
+    arrived: float
+
+
+class MessageInlet:
+    """Listens to one of our string streams; survives a restart of its sender."""
+
+    def __init__(self, info: pylsl.StreamInfo, spec: StreamSpec, session: str) -> None:
+        self._inlet = pylsl.StreamInlet(info, recover=True)
+        self._spec = spec
+        self._session = session
+        self.hostname: str = info.hostname()
+        self.refused: list[str] = []
+        """Sentences about samples that were no message of this session; the owner takes and reports them."""
+        _open(self._inlet, spec.name)
+
+    @classmethod
+    def find(cls, spec: StreamSpec, session: str, timeout: float) -> "MessageInlet | None":
+        """Connect to the stream of this session, or None when it doesn't show up in `timeout` real seconds."""
+        found = pylsl.resolve_bypred(f"source_id='{spec.source_id(session)}'", 1, timeout)
+        return cls(found[0], spec, session) if found else None
+
+    def pull(self, timeout: float = 0.0) -> list[Received]:
+        """All waiting messages; waits up to `timeout` real seconds for the first."""
+        received: list[Received] = []
+        sample, stamp = self._inlet.pull_sample(timeout)
+        while sample is not None:
+            try:
+                received.append(Received(decode(sample[0], self._session), stamp, local_clock()))
+            except BadMessage as error:
+                self.refused.append(f"{self._spec.name}: {error}")
+            sample, stamp = self._inlet.pull_sample(0.0)
+        return received
+
+    def clock_correction(self) -> float:
+        """Seconds to add to the sender's stamps to put them on this machine's clock."""
+        return _correction(self._inlet, self._spec.name)
+
+
+class EegInlet:
+    """Receives an amplifier's samples with their raw stamps."""
+
+    def __init__(self, info: pylsl.StreamInfo, buffer_s: float) -> None:
+        self._inlet = pylsl.StreamInlet(info, max_buflen=round(buffer_s), recover=True)
+        self.description = _describe(self._inlet, info.name())
+        self.description.check()
+        _open(self._inlet, self.description.name)
+
+    def pull(self, timeout: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """All waiting samples of the EEG channels, (n_times, n_picks) in microvolts, and raw stamps (n_times,).
+
+        Waits up to `timeout` real seconds for the first sample, never for more.
+        """
+        samples, stamps = self._inlet.pull_chunk(timeout=timeout, max_samples=4096, min_samples=1, as_numpy=True)
+        return self.description.in_microvolts(samples), np.array(stamps)
+
+    def clock_correction(self) -> float:
+        """Seconds to add to the amplifier's stamps to put them on this machine's clock."""
+        return _correction(self._inlet, self.description.name)
+
+
+def find_eeg(config: EegConfig, timeout: float) -> pylsl.StreamInfo:
+    """The one EEG stream that fits the configuration.
+
+    Raises SetupError when there is none within `timeout` real seconds, or more than one.
+    """
+    wanted = {"type": config.stream_type, "name": config.stream_name, "source_id": config.source_id}
+    predicate = " and ".join(f"{key}='{value}'" for key, value in wanted.items() if value is not None)
+    started = local_clock()
+    found: list[Any] = []
+    while not found and local_clock() - started < timeout:
+        # Asking for two makes LSL listen on after the first, so that a second amplifier isn't missed.
+        found = pylsl.resolve_bypred(predicate, 2, min(1.0, timeout))
+    if not found:
+        others = ", ".join(sorted({f"'{info.name()}' ({info.type()})" for info in pylsl.resolve_streams(1.0)}))
+        raise SetupError(
+            f"No EEG stream: expected one with {predicate}, found {others or 'no stream at all'}. "
+            "Start the amplifier's LSL connector on this network, or name its stream in the configuration ([eeg])."
+        )
+    if len(found) > 1:
+        listed = "; ".join(f"name '{i.name()}', source_id '{i.source_id()}', on {i.hostname()}" for i in found)
+        raise SetupError(
+            f"{len(found)} EEG streams fit {predicate}: {listed}. "
+            "Name the one to use in the configuration ([eeg] stream_name or source_id)."
+        )
+    return found[0]
+
+
+def describe(info: pylsl.StreamInfo) -> EegDescription:
+    """The full header of a resolved EEG stream. Raises LinkLost when the stream doesn't answer."""
+    return _describe(pylsl.StreamInlet(info, recover=False), info.name())
+
+
+def all_streams(wait_s: float = 1.0) -> list[dict[str, str | int | float]]:
+    """Every stream on the network, for `doctor`: name, type, source_id, hostname, channels, rate."""
+    return [
+        {
+            "name": info.name(),
+            "type": info.type(),
+            "source_id": info.source_id(),
+            "hostname": info.hostname(),
+            "channels": info.channel_count(),
+            "sfreq": info.nominal_srate(),
+        }
+        for info in pylsl.resolve_streams(wait_s)
+    ]
+
+
+def _describe(inlet: pylsl.StreamInlet, name: str) -> EegDescription:
+    try:
+        info = inlet.info(OPEN_TIMEOUT_S)
+    except (pylsl.util.TimeoutError, pylsl.util.LostError) as error:
+        raise LinkLost(f"Stream '{name}' was announced but doesn't answer. Restart its sender.") from error
+    n_channels = info.channel_count()
+    return EegDescription(
+        name=info.name(),
+        source_id=info.source_id(),
+        hostname=info.hostname(),
+        channels=_filled(info.get_channel_labels(), n_channels),
+        units=_filled(info.get_channel_units(), n_channels),
+        types=_filled(info.get_channel_types(), n_channels),
+        sfreq=info.nominal_srate(),
+    )
+
+
+def _filled(values: Sequence[str | None] | None, n_channels: int) -> tuple[str, ...]:
+    given = [value or "" for value in values or []]
+    return tuple(given + [""] * (n_channels - len(given)))
+
+
+def _open(inlet: pylsl.StreamInlet, name: str) -> None:
+    try:
+        inlet.open_stream(OPEN_TIMEOUT_S)
+    except (pylsl.util.TimeoutError, pylsl.util.LostError) as error:
+        raise LinkLost(f"Stream '{name}' was announced but can't be opened. Restart its sender.") from error
+
+
+def _correction(inlet: pylsl.StreamInlet, name: str) -> float:
+    try:
+        return float(inlet.time_correction(OPEN_TIMEOUT_S))
+    except (pylsl.util.TimeoutError, pylsl.util.LostError) as error:
+        raise LinkLost(f"The clock of stream '{name}' can't be measured: it doesn't answer.") from error
+
+
+def session_clock(speed: float = 1.0, origin: float | None = None) -> Clock:
+    """The session clock over LSL's clock; `origin` comes from the process that started the session."""
+    return Clock(local_clock, speed, local_clock() if origin is None else origin)

@@ -1,0 +1,79 @@
+"""A process of the loop as the others see it: its own message stream, its heartbeat, and when it must stop."""
+
+import logging
+import os
+import time
+from collections.abc import Sequence
+from typing import Literal
+
+from bci_app.clock import Clock
+from bci_app.errors import LinkLost
+from bci_app.lsl import MessageInlet, MessageOutlet, Received, local_clock
+from bci_app.protocol import Message, Note, Role, Status, StreamSpec
+
+log = logging.getLogger(__name__)
+
+HEARTBEAT_S = 1.0
+"""Real seconds between two `Status` messages of an unchanged state."""
+State = Literal["waiting", "ready", "running", "done", "failed"]
+
+
+class Peer:
+    """Owns the process's message stream. Every loop of a process calls `say` once a round.
+
+    Parameters
+    ----------
+    spec : the stream this process publishes on.
+    role : what it is.
+    session, clock : of the run it belongs to.
+    parent : process id of the program that started it; when that is gone, so is the reason to go on.
+    """
+
+    def __init__(self, spec: StreamSpec, role: Role, session: str, clock: Clock, parent: int | None = None) -> None:
+        self.session = session
+        self.clock = clock
+        self._role: Role = role
+        self._parent = parent
+        self._outlet = MessageOutlet(spec, session)
+        self._said: tuple[State, str] | None = None
+        self._said_at = 0.0
+
+    def push(self, message: Message, stamp: float | None = None) -> None:
+        """Publish a message; its stamp is now unless given (session seconds)."""
+        self._outlet.push(message, self.clock.now() if stamp is None else stamp)
+
+    def say(self, state: State, text: str = "") -> None:
+        """Tell the others how this process is doing; repeated once a second."""
+        if self._parent is not None and os.getppid() != self._parent:
+            raise LinkLost("The program that started this process is gone; nothing is left to do here.")
+        now = local_clock()
+        if (state, text) != self._said or now - self._said_at >= HEARTBEAT_S:
+            if (state, text) != self._said:
+                log.info("%s: %s", state, text)
+            self._said, self._said_at = (state, text), now
+            self.push(Status(session=self.session, role=self._role, state=state, text=text))
+
+    def note(self, level: Literal["info", "warning", "error"], text: str) -> None:
+        """Tell a reader of the recording, and the log, that something happened."""
+        log.log(getattr(logging, level.upper()), text)
+        self.push(Note(session=self.session, role=self._role, level=level, text=text))
+
+    def wait_for(self, spec: StreamSpec) -> MessageInlet:
+        """Connect to another process's stream, waiting as long as it takes and saying so."""
+        while True:
+            self.say("waiting", f"for the {spec.role}'s stream '{spec.name}' of session '{self.session}'")
+            inlet = MessageInlet.find(spec, self.session, timeout=HEARTBEAT_S / 2)
+            if inlet is not None:
+                return inlet
+
+    def hear(self, inlet: MessageInlet, timeout: float = 0.0) -> Sequence[Received]:
+        """Pull messages; samples that are none of this session's are refused in a note, never mixed in."""
+        received = inlet.pull(timeout)
+        for sentence in inlet.refused:
+            self.note("error", f"Refused a sample on {sentence}")
+        inlet.refused.clear()
+        return received
+
+    def rest(self, seconds: float) -> None:
+        """Let `seconds` of real time pass: how long a round of a process's loop may take at most."""
+        time.sleep(max(0.0, seconds))

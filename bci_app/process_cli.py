@@ -1,0 +1,107 @@
+"""One verb for each process of the loop, so that each can be started alone, on its own machine."""
+
+import logging
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bci_app import config as configuration
+from bci_app.config import Config
+from bci_app.errors import SetupError
+from bci_app.gridworld import load_map
+from bci_app.lsl import session_clock
+
+SessionOption = Annotated[str, typer.Option("--session", help="Session id; the same for all processes of a run.")]
+ConfigOption = Annotated[Path | None, typer.Option("--config", help="TOML or JSON file overriding defaults.")]
+SpeedOption = Annotated[
+    float, typer.Option("--speed", min=0.1, help="Session seconds a real second (simulation only).")
+]
+OriginOption = Annotated[float | None, typer.Option("--origin", help="LSL time at which the session clock started.")]
+ParentOption = Annotated[int | None, typer.Option("--parent", hidden=True)]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verbs `stimulus`, `decoder`, `policy` and `amplifier`."""
+    for verb in (stimulus, decoder, policy, amplifier):
+        app.command(rich_help_panel="One process alone")(verb)
+
+
+def _prepare(path: Path | None) -> Config:
+    # Each process logs to stderr; bci-app, when it started them, keeps that in a file beside the recording.
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    return configuration.load(path)
+
+
+def stimulus(
+    session: SessionOption,
+    participant: Annotated[str, typer.Option("--participant")],
+    task: Annotated[str, typer.Option("--task", help="calibration or online")],
+    map_name: Annotated[str | None, typer.Option("--map", help="open, obstacles or a map file.")] = None,
+    seed: Annotated[int, typer.Option("--seed")] = 0,
+    commanded: Annotated[bool, typer.Option("--commanded", help="Wait for bci-app's word to begin.")] = False,
+    config: ConfigOption = None,
+    speed: SpeedOption = 1.0,
+    origin: OriginOption = None,
+    parent: ParentOption = None,
+) -> None:
+    """Show the grid and the agent; begin by the space key."""
+    from stimulus import process
+    from stimulus.paradigm import Paradigm
+
+    settings = _prepare(config)
+    if task not in ("calibration", "online"):
+        raise SetupError(f"--task must be calibration or online, found {task!r}.")
+    make = Paradigm.calibration if task == "calibration" else Paradigm.online
+    world = load_map(map_name or settings.calibration.map)
+    paradigm = make(settings, world, session, participant, seed)
+    process.run(settings, session_clock(speed, origin), paradigm, commanded, parent)
+
+
+def decoder(
+    session: SessionOption,
+    model: Annotated[
+        Path | None, typer.Option("--model", help="Decoder file; without one epochs are only checked.")
+    ] = None,
+    config: ConfigOption = None,
+    speed: SpeedOption = 1.0,
+    origin: OriginOption = None,
+    parent: ParentOption = None,
+) -> None:
+    """Turn EEG and move onsets into verdicts."""
+    from decoder import process
+
+    process.run(_prepare(config), session, session_clock(speed, origin), model, parent)
+
+
+def policy(
+    session: SessionOption,
+    map_name: Annotated[str, typer.Option("--map", help="open, obstacles or a map file.")],
+    policy_file: Annotated[Path, typer.Option("--policy", help="Policy file (.safetensors).")],
+    config: ConfigOption = None,
+    speed: SpeedOption = 1.0,
+    origin: OriginOption = None,
+    parent: ParentOption = None,
+) -> None:
+    """Choose the agent's moves from verdicts and what the agent senses."""
+    from policy import checkpoint, process
+    from policy.agent import Agent
+
+    settings = _prepare(config)
+    world = load_map(map_name)
+    network, card = checkpoint.load(policy_file)
+    checkpoint.check_fits(card, world)
+    process.run(settings.policy, session, session_clock(speed, origin), Agent(network, world), world, parent)
+
+
+def amplifier(
+    session: SessionOption,
+    config: ConfigOption = None,
+    speed: SpeedOption = 1.0,
+    origin: OriginOption = None,
+    parent: ParentOption = None,
+) -> None:
+    """Play a simulated participant's EEG that reacts to the truth of each move."""
+    from decoder import amplifier as process
+
+    process.run(_prepare(config), session, session_clock(speed, origin), parent)

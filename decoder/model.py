@@ -1,0 +1,205 @@
+"""A decoder in one file without pickle: safetensors with the numbers, JSON metadata with everything else."""
+
+import json
+import platform
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
+
+from bci_app.config import ChainConfig, ClassifierConfig
+from bci_app.errors import SetupError
+from decoder.calibration import Calibration
+from decoder.chain import Chain
+from decoder.classifier import LinearClassifier
+from decoder.montage import match_channels
+from decoder.operator import chain_operator
+
+Array = NDArray[np.float64]
+
+FORMAT_VERSION: Literal[1] = 1
+SUFFIX = ".safetensors"
+_KEY = "bci-app decoder"
+_LIBRARIES = ("numpy", "scipy", "scikit-learn", "mne", "errp-bci")
+
+
+class ModelInfo(BaseModel):
+    """All of a decoder that isn't a large array; the metadata of its file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    format: Literal[1] = FORMAT_VERSION
+    participant: str
+    channels: tuple[str, ...]
+    sfreq: float = Field(gt=0)
+    """Rate of the raw EEG, Hz."""
+    unit: Literal["uV"] = "uV"
+    n_before: int = Field(ge=0)
+    n_after: int = Field(ge=1)
+    chain: ChainConfig
+    classifier: ClassifierConfig
+    n_error: int
+    n_correct: int
+    n_rejected: int
+    tenfold: dict[str, Any]
+    """`decoder.calibration.Scores` of stratified cross-validation; `blocked` of contiguous folds."""
+    blocked: dict[str, Any]
+    created: str
+    """Time of creation, ISO 8601, or empty."""
+    versions: dict[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class DecoderModel:
+    """A decoder ready to use.
+
+    Attributes
+    ----------
+    info : what it was made from, and how good it is.
+    operator : float64, (n_raw, n_windows).
+    classifier : weights and bias on the features of `decoder.operator.features`.
+    held_out_log_odds : float64, (n_epochs,), from stratified cross-validation, in the order of the calibration.
+    held_out_error : bool, (n_epochs,), the truth about them.
+    """
+
+    info: ModelInfo
+    operator: Array
+    classifier: LinearClassifier
+    held_out_log_odds: Array
+    held_out_error: NDArray[np.bool_]
+
+
+def make_model(
+    calibration: Calibration,
+    error: NDArray[np.bool_],
+    chain: Chain,
+    classifier: ClassifierConfig,
+    *,
+    participant: str,
+    channels: Sequence[str],
+    n_rejected: int,
+    created: str = "",
+) -> DecoderModel:
+    """Put a model together from a calibration and the chain its features came from."""
+    info = ModelInfo(
+        participant=participant,
+        channels=tuple(channels),
+        sfreq=chain.sfreq,
+        n_before=chain.n_before,
+        n_after=chain.n_after,
+        chain=chain.config,
+        classifier=classifier,
+        n_error=calibration.tenfold.n_error,
+        n_correct=calibration.tenfold.n_correct,
+        n_rejected=n_rejected,
+        tenfold=calibration.tenfold.as_dict(),
+        blocked=calibration.blocked.as_dict(),
+        created=created,
+        versions={"python": platform.python_version(), **{name: _version(name) for name in _LIBRARIES}},
+    )
+    return DecoderModel(info, chain_operator(chain), calibration.classifier, calibration.tenfold_log_odds, error)
+
+
+def save(model: DecoderModel, path: Path) -> None:
+    """Write a new file. Raises SetupError when there is one already: a decoder is never overwritten."""
+    tensors = {
+        "operator": model.operator,
+        "weights": model.classifier.weights,
+        "bias": np.array([model.classifier.bias]),
+        "held_out_log_odds": model.held_out_log_odds,
+        "held_out_error": model.held_out_error,
+    }
+    contents = save_tensors(tensors, metadata={_KEY: model.info.model_dump_json()})
+    try:
+        with path.open("xb") as file:
+            file.write(contents)
+    except FileExistsError as error:
+        raise SetupError(
+            f"There is a decoder {path} already, and decoders are never overwritten. Choose another name or move it."
+        ) from error
+    except OSError as error:
+        raise SetupError(f"Can't write the decoder {path}: {error}.") from error
+
+
+def load(path: Path) -> DecoderModel:
+    """Read a model file. Raises SetupError for anything but a whole decoder of a known format."""
+    try:
+        contents = path.read_bytes()
+    except OSError as error:
+        raise SetupError(f"Can't read the decoder {path}: {error}. Calibrate first, or give another path.") from error
+    try:
+        tensors = load_tensors(contents)
+        info = ModelInfo.model_validate_json(_metadata(contents))
+        return _assemble(info, tensors)
+    except (SafetensorError, ValidationError, KeyError, ValueError) as error:
+        reason = _first_line(error)
+        raise SetupError(
+            f"{path} is no decoder of format {FORMAT_VERSION}, or is damaged ({reason}). Use the bci-app version that "
+            "wrote it, or recalibrate."
+        ) from error
+
+
+def fit_stream(model: DecoderModel, name: str, channels: Sequence[str], sfreq: float) -> NDArray[np.int64]:
+    """Where the decoder's channels are in a stream: indices into its channels, in the decoder's order.
+
+    A stream with more, differently ordered or differently spelt channels fits. Raises SetupError for one that lacks a
+    channel or has another rate.
+    """
+    info = model.info
+    if sfreq != info.sfreq:
+        raise SetupError(
+            f"Stream '{name}' runs at {sfreq:g} Hz; the decoder of {info.participant} was calibrated at "
+            f"{info.sfreq:g} Hz. Set the amplifier to {info.sfreq:g} Hz or recalibrate."
+        )
+    indices, missing = match_channels(info.channels, channels)
+    if missing:
+        raise SetupError(
+            f"Stream '{name}' has {len(channels)} channels; the decoder of {info.participant} was calibrated on "
+            f"{len(info.channels)} (missing: {', '.join(missing)}). Fix the montage or recalibrate."
+        )
+    return np.array(indices, dtype=np.int64)
+
+
+def _assemble(info: ModelInfo, tensors: dict[str, NDArray[Any]]) -> DecoderModel:
+    n_windows, n_epochs = info.chain.n_windows, info.n_error + info.n_correct
+    operator = _checked(tensors, "operator", "float64", (info.n_before + info.n_after, n_windows))
+    weights = _checked(tensors, "weights", "float64", (len(info.channels) * n_windows,))
+    bias = _checked(tensors, "bias", "float64", (1,))
+    log_odds = _checked(tensors, "held_out_log_odds", "float64", (n_epochs,))
+    error = _checked(tensors, "held_out_error", "bool", (n_epochs,))
+    return DecoderModel(info, operator, LinearClassifier(weights, float(bias[0])), log_odds, error)
+
+
+def _checked(tensors: dict[str, NDArray[Any]], name: str, dtype: str, shape: tuple[int, ...]) -> NDArray[Any]:
+    tensor = tensors[name]
+    if tensor.dtype != dtype or tensor.shape != shape or not np.isfinite(tensor).all():
+        raise ValueError(f"'{name}' should be finite {dtype} of shape {shape}, is {tensor.dtype} of {tensor.shape}")
+    return np.array(tensor, order="C", copy=True)  # aligned as NumPy does it: the same bits for the same samples
+
+
+def _metadata(contents: bytes) -> str:
+    """The JSON text in a safetensors header: 8 bytes of length, then the header."""
+    header = json.loads(contents[8 : 8 + int.from_bytes(contents[:8], "little")])
+    return str(header["__metadata__"][_KEY])
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except ImportError:
+        return "unknown"
+
+
+def _first_line(error: Exception) -> str:
+    if isinstance(error, ValidationError):
+        first = error.errors(include_url=False)[0]
+        return f"{'.'.join(str(part) for part in first['loc'])}: {first['msg']}"
+    return f"{type(error).__name__}: {error}".splitlines()[0]

@@ -1,0 +1,146 @@
+"""The decoder process: EEG and move onsets in, verdicts out. It waits for samples, never for the clock."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bci_app.clock import Clock
+from bci_app.config import Config
+from bci_app.errors import SetupError
+from bci_app.lsl import EegInlet, MessageInlet, find_eeg, local_clock
+from bci_app.peer import Peer
+from bci_app.protocol import STIMULUS, VERDICTS, MoveOnset, SessionEnd
+from decoder import model as models
+from decoder.epochs import EpochBuffer
+from decoder.judge import Judge, MoveKey, judge_with, judge_without
+from decoder.timeline import check_rate, measured_rate
+
+POLL_S = 0.005
+"""Longest real time a round waits for a sample before it looks for onsets again."""
+SILENCE_S = 1.0
+"""Real seconds without a sample after which the EEG counts as silent (decided)."""
+LOOK_S = 3.0
+"""Session seconds of EEG looked at before the decoder calls itself ready."""
+RATE_S = 10.0
+"""Session seconds over which the rate is measured again and again."""
+
+
+def run(config: Config, session: str, clock: Clock, model_path: Path | None, parent: int | None = None) -> None:
+    """Serve one session, from the first sample to the verdict on its last move.
+
+    Raises SetupError for an EEG stream that is missing, ambiguous or doesn't fit.
+    """
+    model = models.load(model_path) if model_path else None
+    peer = Peer(VERDICTS, "decoder", session, clock, parent)
+    peer.say("waiting", "for an EEG stream")
+    eeg = EegInlet(find_eeg(config.eeg, timeout=20.0), config.eeg.buffer_s)
+    judge = (
+        judge_with(model, config, eeg.description, session)
+        if model
+        else judge_without(config, eeg.description, session)
+    )
+    server = _Server(config, peer, eeg, judge)
+    server.look()
+    server.serve(peer.wait_for(STIMULUS))
+    peer.say("done")
+
+
+class _Server:
+    """One session's buffer and connections."""
+
+    def __init__(self, config: Config, peer: Peer, eeg: EegInlet, judge: Judge) -> None:
+        self._config = config
+        self._peer = peer
+        self._eeg = eeg
+        self._judge = judge
+        n_channels = len(eeg.description.picks)
+        self._buffer: EpochBuffer[MoveKey] = EpochBuffer(judge.shape, n_channels, config.eeg.buffer_s)
+        self._offsets: dict[MoveKey, float] = {}
+        self._last_sample = local_clock()
+        self._silent = False
+        self._rate_times = np.empty(0)
+        self._rate_is_off = False
+
+    def look(self) -> None:
+        """Take a few seconds of EEG to see that the rate is right and all channels deliver numbers."""
+        description = self._eeg.description
+        stamps, bad = [np.empty(0)], np.zeros(len(description.picks), dtype=bool)
+        while sum(map(len, stamps)) < LOOK_S * description.sfreq:
+            self._peer.say("waiting", f"for {LOOK_S:g} s of EEG from '{description.name}'")
+            samples, times = self._eeg.pull(POLL_S)
+            self._buffer.push(samples, times)
+            stamps.append(times)
+            bad |= ~np.isfinite(samples).all(axis=0)
+            self._check_silence(len(times))
+            if self._silent:
+                raise SetupError(
+                    f"Stream '{description.name}' is there but delivers no samples. Start the amplifier's acquisition."
+                )
+        if bad.any():
+            names = ", ".join(name for name, is_bad in zip(description.picked, bad, strict=True) if is_bad)
+            raise SetupError(
+                f"Stream '{description.name}' delivers values that are not numbers (NaN) in: {names}. "
+                "Reconnect these electrodes or switch the channels off in the amplifier."
+            )
+        check_rate(np.concatenate(stamps), description.sfreq, description.name, self._config.eeg.rate_tolerance)
+
+    def serve(self, stimulus: MessageInlet) -> None:
+        """Judge moves until the session has ended and every move has its verdict."""
+        same_clock = stimulus.hostname == self._eeg.description.hostname
+        if not same_clock:
+            # The first measurement takes half a second, all later ones are at hand: take it before the first move.
+            stimulus.clock_correction(), self._eeg.clock_correction()
+        ended = False
+        while not ended or self._buffer.n_waiting:
+            self._peer.say("ready", f"{self._buffer.n_waiting} epochs open")
+            samples, times = self._eeg.pull(POLL_S)
+            arrived = local_clock()
+            self._check_silence(len(times))
+            self._buffer.push(samples, times)
+            for item in self._peer.hear(stimulus):
+                if isinstance(item.message, MoveOnset):
+                    # Two streams of one machine share its clock: their difference is exactly nothing.
+                    offset = 0.0 if same_clock else stimulus.clock_correction() - self._eeg.clock_correction()
+                    self._expect((item.message.episode, item.message.step), item.stamp, offset)
+                elif isinstance(item.message, SessionEnd):
+                    ended = True
+            self._answer(arrived)
+            self._check_rate(times)
+
+    def _expect(self, key: MoveKey, onset: float, offset: float) -> None:
+        if not self._buffer.expect(key, onset + offset):
+            self._peer.note("warning", f"Episode {key[0]}, step {key[1]} was announced twice; the first counts.")
+            return
+        self._offsets[key] = offset
+
+    def _answer(self, arrived: float) -> None:
+        for key, result in self._buffer.poll():
+            verdict = self._judge.verdict(key, result, self._offsets.pop(key))
+            latency_ms = (local_clock() - arrived) * 1e3
+            self._peer.push(verdict.model_copy(update={"latency_ms": latency_ms}))
+            if verdict.outcome == "rejected":
+                self._peer.note("warning", f"No verdict on episode {key[0]}, step {key[1]}: {verdict.reason}.")
+
+    def _check_silence(self, n_new: int) -> None:
+        now = local_clock()
+        if n_new:
+            if self._silent:
+                self._peer.note("info", "The EEG is back.")
+            self._last_sample, self._silent = now, False
+        elif not self._silent and now - self._last_sample > SILENCE_S:
+            self._silent = True
+            self._peer.note("error", f"No EEG sample for {SILENCE_S:g} s.")
+        if self._silent:
+            self._buffer.abandon("the EEG stream is silent")
+
+    def _check_rate(self, times: NDArray[np.float64]) -> None:
+        self._rate_times = np.concatenate((self._rate_times, times))
+        sfreq = self._eeg.description.sfreq
+        if len(self._rate_times) < RATE_S * sfreq:
+            return
+        rate, self._rate_times = measured_rate(self._rate_times), np.empty(0)
+        is_off = not abs(rate / sfreq - 1) <= self._config.eeg.rate_tolerance
+        if is_off and not self._rate_is_off:
+            self._peer.note("error", f"The EEG's rate is now {rate:.1f} Hz instead of {sfreq:g} Hz.")
+        self._rate_is_off = is_off

@@ -1,0 +1,109 @@
+"""The policy server's core, shared with the replay: messages in, actions out. No LSL, no clock.
+
+A move and its verdict come on two streams, in either order; the policy steps once it has both.
+"""
+
+from dataclasses import dataclass, field
+
+from bci_app.gridworld import ACTIONS, GridWorld
+from bci_app.protocol import Action, EpisodeStart, MoveOnset, Verdict, VerdictUsed
+from policy.agent import Agent, Decision
+
+
+@dataclass
+class Navigator:
+    """Chooses the moves of one session.
+
+    Attributes
+    ----------
+    agent : the recurrent policy with its hidden state.
+    world : the map, to number the cells that messages give as (row, column).
+    session : goes into every action.
+    """
+
+    agent: Agent
+    world: GridWorld
+    session: str
+    _episode: EpisodeStart | None = None
+    _decided: int = 0
+    _onset: MoveOnset | None = None
+    _verdicts: dict[int, Verdict] = field(default_factory=dict)
+
+    def begin(self, start: EpisodeStart) -> Action:
+        """A new episode: forget the last one and choose the first move."""
+        self._episode, self._decided, self._onset = start, 1, None
+        self._verdicts.clear()
+        decision = self.agent.begin(self.world.cell_at(*start.position), start.sensed)
+        return self._action(decision, "missing")
+
+    def moved(self, onset: MoveOnset) -> Action | None:
+        """A move was shown; the next action if its verdict is here already."""
+        if not self._is_current(onset) or onset.step != self._decided:
+            return None
+        self._onset = onset
+        return self._decide()
+
+    def judged(self, verdict: Verdict) -> Action | None:
+        """The decoder's word on a move; the next action if that move was announced already."""
+        if not self._is_current(verdict) or self.is_late(verdict):
+            return None
+        self._verdicts[verdict.step] = verdict
+        return self._decide()
+
+    def missing(self) -> Action | None:
+        """Give up waiting for the verdict of the last move: it is said to be missing."""
+        return self._step("missing") if self._onset is not None else None
+
+    @property
+    def in_episode(self) -> bool:
+        """Whether an episode has begun."""
+        return self._episode is not None
+
+    def is_late(self, verdict: Verdict) -> bool:
+        """Whether the policy has already moved on without this verdict."""
+        return self._is_current(verdict) and verdict.step < self._decided
+
+    @property
+    def waiting_for(self) -> MoveOnset | None:
+        """The move whose verdict is awaited, if any."""
+        return self._onset
+
+    def _is_current(self, message: MoveOnset | Verdict) -> bool:
+        return self._episode is not None and message.episode == self._episode.episode
+
+    def _decide(self) -> Action | None:
+        verdict = self._verdicts.get(self._decided) if self._onset else None
+        if verdict is None:
+            return None
+        return self._step(used(verdict))
+
+    def _step(self, verdict: VerdictUsed) -> Action | None:
+        assert self._onset is not None
+        assert self._episode is not None
+        onset, self._onset = self._onset, None
+        cell = self.world.cell_at(*onset.position)
+        if onset.sensed[0] or onset.step >= self._episode.max_steps:
+            return None
+        decision = self.agent.step(ACTIONS.index(onset.action), cell, onset.sensed, verdict)
+        self._decided = onset.step + 1
+        return self._action(decision, verdict)
+
+    def _action(self, decision: Decision, verdict: VerdictUsed) -> Action:
+        assert self._episode is not None
+        return Action.model_validate(
+            {
+                "session": self.session,
+                "episode": self._episode.episode,
+                "step": self._decided,
+                "action": ACTIONS[decision.action],
+                "probabilities": decision.probabilities,
+                "verdict": verdict,
+            }
+        )
+
+
+def used(verdict: Verdict) -> VerdictUsed:
+    """What the policy takes from a verdict: a rejected or unjudged epoch says nothing, and that is told."""
+    if verdict.outcome == "error":
+        return "error"
+    return "correct" if verdict.outcome == "correct" else "missing"

@@ -1,0 +1,108 @@
+"""The policy process: verdicts and sensed surroundings in, the next move out. It never hears of the goal."""
+
+from collections.abc import Sequence
+
+from bci_app.clock import Clock
+from bci_app.config import PolicyConfig
+from bci_app.errors import SetupError
+from bci_app.gridworld import GridWorld
+from bci_app.lsl import Received, local_clock
+from bci_app.peer import Peer, State
+from bci_app.protocol import (
+    ACTIONS_STREAM,
+    STIMULUS,
+    VERDICTS,
+    Action,
+    EpisodeStart,
+    MoveOnset,
+    SessionEnd,
+    SessionStart,
+    Verdict,
+)
+from policy.agent import Agent
+from policy.navigator import Navigator
+
+POLL_S = 0.002
+"""Real seconds a round waits for a verdict before it looks at the stimulus again."""
+
+
+def run(
+    config: PolicyConfig,
+    session: str,
+    clock: Clock,
+    agent: Agent,
+    world: GridWorld,
+    parent: int | None = None,
+) -> None:
+    """Serve one session, from the stimulus's first message to its `SessionEnd`."""
+    peer = Peer(ACTIONS_STREAM, "policy", session, clock, parent)
+    stimulus = peer.wait_for(STIMULUS)
+    verdicts = peer.wait_for(VERDICTS)
+    server = _Server(config, peer, Navigator(agent, world, session))
+    while not server.ended:
+        peer.say(server.state)
+        server.listen(peer.hear(verdicts, timeout=POLL_S))
+        server.listen(peer.hear(stimulus))
+        server.expire()
+    peer.say("done")
+
+
+class _Server:
+    """One session's navigator together with what only a live session has: patience and latencies."""
+
+    def __init__(self, config: PolicyConfig, peer: Peer, navigator: Navigator) -> None:
+        self.config = config
+        self.peer = peer
+        self.navigator = navigator
+        self.ended = False
+        self._onset_arrived = 0.0
+
+    @property
+    def state(self) -> State:
+        return "running" if self.navigator.in_episode else "ready"
+
+    def listen(self, received: Sequence[Received]) -> None:
+        for item in received:
+            match item.message:
+                case SessionStart() as start:
+                    self._check_map(start)
+                case EpisodeStart() as episode:
+                    self._answer(self.navigator.begin(episode), item.arrived)
+                case MoveOnset() as onset:
+                    self._onset_arrived = item.arrived
+                    self._answer(self.navigator.moved(onset), item.arrived)
+                case Verdict() as verdict:
+                    self._judged(verdict, item.arrived)
+                case SessionEnd():
+                    self.ended = True
+
+    def expire(self) -> None:
+        """A verdict that doesn't come is said to be missing, aloud."""
+        waiting = self.navigator.waiting_for
+        if waiting is None or local_clock() - self._onset_arrived < self.config.verdict_timeout_s:
+            return
+        self.peer.note(
+            "warning",
+            f"No verdict on episode {waiting.episode}, step {waiting.step} within "
+            f"{self.config.verdict_timeout_s:g} s; taken as missing.",
+        )
+        self._answer(self.navigator.missing(), local_clock())
+
+    def _judged(self, verdict: Verdict, arrived: float) -> None:
+        if self.navigator.is_late(verdict):
+            text = f"Verdict on episode {verdict.episode}, step {verdict.step} came after it was taken as missing."
+            self.peer.note("warning", text)
+            return
+        self._answer(self.navigator.judged(verdict), arrived)
+
+    def _answer(self, action: Action | None, since: float) -> None:
+        if action is not None:
+            self.peer.push(action.model_copy(update={"latency_ms": (local_clock() - since) * 1e3}))
+
+    def _check_map(self, start: SessionStart) -> None:
+        layout = self.navigator.world.layout()
+        if start.layout != layout:
+            raise SetupError(
+                f"The stimulus runs map '{start.map}', but this policy was started for map "
+                f"'{self.navigator.world.name}' of another layout. Start the policy with the stimulus's map."
+            )

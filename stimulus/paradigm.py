@@ -1,0 +1,384 @@
+"""The experiment as a state machine in session time: what is on the screen, what is sent, when it changes next.
+
+It reads no clock and draws nothing. The shell asks `next_due`, calls `update`, draws `scene`, flips, reports a jump's
+flip with `flipped`, and sends `take_messages`. One step (paper V.A.1) is countdown, jump, arrow, rest, counted from
+the onset, which is the flip that showed the jump::
+
+    READY -> LOOK -> COUNTDOWN -> JUMP -> ARROW -> REST -> COUNTDOWN ... -> DONE
+                      |    ^                        |
+                      HOLD-' (no action yet)        '-> LOOK (next episode) or BREAK -> KEY -> LOOK (next block)
+"""
+
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import Literal, Self
+
+from bci_app.config import Config, StimulusConfig
+from bci_app.gridworld import ACTIONS, GridWorld
+from bci_app.protocol import (
+    Action,
+    BlockEnd,
+    BlockStart,
+    Message,
+    Pause,
+    Resume,
+    SessionEnd,
+)
+from stimulus.episodes import Plan, Walk, calibration_plan, online_plan
+
+WELCOME = "Watch the red agent on its way to the green goal.\nJudge every move in silence: right or wrong?"
+COMPLETE = "Done. Thank you!"
+STOPPED = "The session has ended."
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is on the screen.
+
+    Attributes
+    ----------
+    agent, goal : cells, None where there is none to see.
+    countdown : part of the countdown that is over, 0 to 1; None outside it.
+    arrow : the cell the agent came from and its action, while the arrow stays.
+    text : lines of a message, shown in place of the grid.
+    moved : True from a jump until its flip is reported.
+    """
+
+    world: GridWorld
+    agent: int | None = None
+    goal: int | None = None
+    countdown: float | None = None
+    arrow: tuple[int, int] | None = None
+    text: str | None = None
+    moved: bool = False
+
+
+@dataclass(frozen=True)
+class Outgoing:
+    """A message to send, on which stream, with which stamp (session seconds)."""
+
+    stream: Literal["stimulus", "truth"]
+    message: Message
+    stamp: float
+
+
+class Phase(Enum):
+    """Where in the paradigm we are."""
+
+    READY = auto()  # until `start`
+    LOOK = auto()  # a new episode is on the screen: time to find agent and goal
+    COUNTDOWN = auto()
+    HOLD = auto()  # the countdown is full, the action missing
+    JUMP = auto()  # the scene shows the jump, its flip is not reported yet
+    ARROW = auto()
+    REST = auto()
+    BREAK = auto()
+    KEY = auto()  # a key may end the break
+    PAUSED = auto()
+    DONE = auto()
+
+
+_TIMED = (Phase.LOOK, Phase.COUNTDOWN, Phase.ARROW, Phase.REST, Phase.BREAK)
+
+
+class Paradigm:
+    """A whole run. Times are session seconds; `now` must not decrease from call to call.
+
+    Onsets are stamped with their flip, everything else with the `now` of the call that brought it about.
+    """
+
+    def __init__(self, times: StimulusConfig, world: GridWorld, plan: Plan) -> None:
+        self.world = world
+        self._times = times
+        self._plan = plan
+        self.session = plan.opening.session
+        self._phase = Phase.READY
+        self._due = 0.0
+        self._out: list[Outgoing] = []
+        self._last_stamp = float("-inf")
+        self._block = self._block_moves = self._moves = 0
+        self._walk = Walk(world, self.session, number=-1, cell=0, goal=0, max_steps=0)  # until the first begins
+        self._running = False
+        self._action: int | None = None  # of the coming move
+        self._pause_reason: str | None = None
+        self._paused_in = Phase.READY
+        self._closing_text = COMPLETE
+
+    @classmethod
+    def calibration(
+        cls, cfg: Config, world: GridWorld, session: str, participant: str, seed: int, wait_for_key: bool | None = None
+    ) -> Self:
+        """A calibration run; `wait_for_key` lets a key end the breaks, by default when there is a window."""
+        wait = not cfg.stimulus.headless if wait_for_key is None else wait_for_key
+        return cls(cfg.stimulus, world, calibration_plan(cfg.calibration, world, session, participant, seed, wait))
+
+    @classmethod
+    def online(cls, cfg: Config, world: GridWorld, session: str, participant: str, seed: int) -> Self:
+        """An online run; `seed` orders the episodes."""
+        return cls(cfg.stimulus, world, online_plan(cfg.online, world, session, participant, seed))
+
+    # What the shell asks.
+
+    @property
+    def done(self) -> bool:
+        """True once SessionEnd is among the messages."""
+        return self._phase is Phase.DONE
+
+    @property
+    def awaiting_flip(self) -> bool:
+        """True when the scene shows a jump whose flip must be reported with `flipped`."""
+        return self._phase is Phase.JUMP
+
+    @property
+    def waiting_for(self) -> Literal["start", "action", "key", "resume"] | None:
+        """What from outside the run waits for; None while time or a flip moves it on."""
+        match self._phase:
+            case Phase.READY:
+                return "start"
+            case Phase.HOLD:
+                return "action"
+            case Phase.KEY:
+                return "key"
+            case Phase.PAUSED:
+                return "resume"
+        return None
+
+    @property
+    def needs_actions(self) -> bool:
+        """True for an online run, whose moves come from outside."""
+        return self._plan.choose is None
+
+    @property
+    def progress(self) -> str:
+        """How far the run is, for status lines."""
+        opening = self._plan.opening
+        if opening.n_moves is not None:
+            return f"{self._moves} of {opening.n_moves} moves"
+        return f"episode {self._walk.number + 1} of {opening.n_episodes}, {self._walk.steps} moves"
+
+    def next_due(self) -> float | None:
+        """Session time of the next change that time brings; None while waiting for something else."""
+        return self._due if self._phase in _TIMED else None
+
+    def take_messages(self) -> list[Outgoing]:
+        """What must be sent now, in order; handed out once."""
+        out, self._out = self._out, []
+        return out
+
+    def scene(self, now: float) -> Scene:
+        """What belongs on the screen at `now`."""
+        text = self._text()
+        if text is not None:
+            return Scene(self.world, text=text)
+        arrow = self._walk.last_move if self._phase in (Phase.JUMP, Phase.ARROW) else None
+        return Scene(
+            self.world, self._walk.cell, self._walk.goal, self._countdown(now), arrow, moved=self.awaiting_flip
+        )
+
+    def _countdown(self, now: float) -> float | None:
+        if self._phase is Phase.HOLD:
+            return 1.0
+        if self._phase is not Phase.COUNTDOWN:
+            return None
+        left = (self._due - now) / self._times.countdown_s if self._times.countdown_s else 0.0
+        return min(1.0, max(0.0, 1.0 - left))
+
+    def _text(self) -> str | None:
+        blocks = f"Break\n{self._block} of {self._plan.n_blocks} blocks are done."
+        match self._phase:
+            case Phase.READY:
+                return WELCOME
+            case Phase.BREAK:
+                return f"{blocks}\nRelax, and move if you like."
+            case Phase.KEY:
+                return f"{blocks}\nPress space when you are ready."
+            case Phase.PAUSED:
+                return "Pause"
+            case Phase.DONE:
+                return self._closing_text
+        return None
+
+    # What the shell reports.
+
+    def start(self, now: float) -> None:
+        """Begin; does nothing once begun."""
+        if self._phase is Phase.READY:
+            self._send(self._plan.opening, now)
+            self._begin_block(now)
+
+    def key_start(self, now: float) -> None:
+        """The key that ends a break; does nothing before the break's shortest time is over."""
+        if self._phase is Phase.KEY:
+            self._begin_block(now)
+
+    def update(self, now: float) -> None:
+        """Go through everything due at `now`, up to a jump: then draw the scene, flip, and report the flip."""
+        while self._phase in _TIMED and now >= self._due:
+            self._advance(now)
+
+    def flipped(self, onset: float) -> None:
+        """Report the flip that showed the jump: the onset, from which all times of this step count."""
+        if not self.awaiting_flip:
+            raise RuntimeError(f"expected a jump's flip only while awaiting_flip; found one in {self._phase.name}")
+        self._walk.steps += 1
+        self._moves += 1
+        self._block_moves += 1
+        self._send_pair(self._walk.move_messages(), onset)
+        self._wait(Phase.ARROW, onset + self._times.arrow_s)
+
+    def offer_action(self, action: Action) -> str | None:
+        """Take the policy's action for the coming move. None when taken, else a sentence why it is refused."""
+        problem = self._refusal(action)
+        if problem is None:
+            self._action = ACTIONS.index(action.action)
+            if self._phase is Phase.HOLD:
+                self._phase = Phase.COUNTDOWN  # its time is over, so the next update jumps
+        return problem
+
+    def pause(self, now: float, reason: str) -> None:
+        """Pause as soon as that spoils no epoch: at once, or after the move or break that is under way.
+
+        Does nothing where the run waits for a person anyway.
+        """
+        if self._phase in (Phase.LOOK, Phase.COUNTDOWN, Phase.HOLD):
+            self._enter_pause(now, reason)
+        elif self._phase in (Phase.JUMP, Phase.ARROW, Phase.REST, Phase.BREAK):
+            self._pause_reason = reason
+
+    def resume(self, now: float) -> None:
+        """Go on after a pause, with time to look and a full countdown; calls off a pause still to come."""
+        self._pause_reason = None
+        if self._phase is not Phase.PAUSED:
+            return
+        self._send(Resume(session=self.session), now)
+        if self._paused_in is Phase.BREAK:
+            self._after_break(now)
+        elif reason := self._end_reason():
+            self._end_episode(now, reason)
+        else:
+            self._wait(Phase.LOOK, now + self._times.rest_s)
+
+    def stop(self, now: float, reason: Literal["interrupted", "failed"], text: str = "") -> None:
+        """End the run at any moment; a jump whose flip was not reported has not happened."""
+        if self._phase is Phase.DONE:
+            return
+        if self._running:
+            self._send_episode_end(now, "aborted")
+        self._closing_text = STOPPED
+        self._send(SessionEnd(session=self.session, reason=reason, text=text), now)
+        self._phase = Phase.DONE
+
+    # How it moves on.
+
+    def _advance(self, now: float) -> None:
+        match self._phase:
+            case Phase.LOOK:
+                self._wait(Phase.COUNTDOWN, self._due + self._times.countdown_s)
+            case Phase.COUNTDOWN:
+                self._jump()
+            case Phase.ARROW:
+                self._wait(Phase.REST, self._due + self._times.rest_s)
+            case _ if self._pause_reason is not None:
+                self._enter_pause(now, self._pause_reason)
+            case Phase.REST if reason := self._end_reason():
+                self._end_episode(now, reason)
+            case Phase.REST:
+                self._wait(Phase.COUNTDOWN, self._due + self._times.countdown_s)
+            case Phase.BREAK:
+                self._after_break(now)
+
+    def _wait(self, phase: Phase, due: float) -> None:
+        self._phase, self._due = phase, due
+
+    def _jump(self) -> None:
+        if self._plan.choose is not None:
+            self._action = self._plan.choose(self._walk.cell, self._walk.goal)
+        if self._action is None:
+            self._phase = Phase.HOLD
+            return
+        self._walk.go(self._action)
+        self._action = None
+        self._phase = Phase.JUMP
+
+    def _end_reason(self) -> Literal["goal", "limit", "block"] | None:
+        return self._walk.over() or ("block" if self._block_moves == self._plan.moves_per_block else None)
+
+    def _begin_block(self, now: float) -> None:
+        self._block_moves = 0
+        if self._plan.moves_per_block is not None:
+            start = BlockStart(session=self.session, block=self._block, n_moves=self._plan.moves_per_block)
+            self._send(start, now)
+        self._begin_episode(now)
+
+    def _begin_episode(self, now: float) -> None:
+        episode = next(self._plan.episodes, None)
+        if episode is None:
+            self._complete(now)
+            return
+        number = self._walk.number + 1
+        self._running = True
+        self._walk = Walk(self.world, self.session, number, episode.start, episode.goal, self._plan.max_steps)
+        self._send_pair(self._walk.start_messages(), now)
+        self._wait(Phase.LOOK, now + self._times.rest_s)
+
+    def _end_episode(self, now: float, reason: Literal["goal", "limit", "block"]) -> None:
+        self._send_episode_end(now, reason)
+        if self._block_moves != self._plan.moves_per_block:
+            self._begin_episode(now)
+            return
+        self._send(BlockEnd(session=self.session, block=self._block, n_moves=self._block_moves), now)
+        self._block += 1
+        if self._block == self._plan.n_blocks:
+            self._complete(now)
+        else:
+            self._wait(Phase.BREAK, now + self._plan.break_s)
+
+    def _send_episode_end(self, now: float, reason: Literal["goal", "limit", "block", "aborted"]) -> None:
+        self._running = False
+        self._send(self._walk.end_message(reason), now)
+
+    def _after_break(self, now: float) -> None:
+        if self._plan.wait_for_key:
+            self._phase = Phase.KEY
+        else:
+            self._begin_block(now)
+
+    def _enter_pause(self, now: float, reason: str) -> None:
+        self._pause_reason, self._paused_in = None, self._phase
+        self._phase = Phase.PAUSED
+        self._send(Pause(session=self.session, reason=reason), now)
+
+    def _complete(self, now: float) -> None:
+        self._send(SessionEnd(session=self.session, reason="complete"), now)
+        self._phase = Phase.DONE
+
+    # What it tells.
+
+    def _refusal(self, action: Action) -> str | None:
+        found = f"found an action for step {action.step} of episode {action.episode}"
+        if self._plan.choose is not None:
+            return f"expected no action in a calibration; {found}"
+        if action.session != self.session:
+            return f"expected session '{self.session}'; {found} of session '{action.session}'"
+        if not self._running or self._end_reason() or self.awaiting_flip:
+            return f"expected no action now ({self.progress}); {found}"
+        step = self._walk.steps + 1
+        if (action.episode, action.step) != (self._walk.number, step):
+            return f"expected an action for step {step} of episode {self._walk.number}; {found}"
+        if self._action is not None:
+            return f"step {step} of episode {self._walk.number} has its action, {ACTIONS[self._action]}; {found} again"
+        if not self.world.legal[self._walk.cell, ACTIONS.index(action.action)]:
+            where = self._walk.position(self._walk.cell)
+            return f"expected a legal action; {found}: {action.action} of {where} is no free cell"
+        return None
+
+    def _send_pair(self, messages: tuple[Message, Message], stamp: float) -> None:
+        """A message and what the truth stream says at the same time."""
+        self._send(messages[0], stamp)
+        self._send(messages[1], stamp, "truth")
+
+    def _send(self, message: Message, stamp: float, stream: Literal["stimulus", "truth"] = "stimulus") -> None:
+        # A flip may be dated a little after the `now` that follows it: stamps must still not decrease. Onsets, the
+        # latest time there is when they are reported, are never changed by this.
+        stamp = self._last_stamp = max(stamp, self._last_stamp)
+        self._out.append(Outgoing(stream, message, stamp))

@@ -1,0 +1,174 @@
+"""The stimulus process: input, update, draw, flip, and only then the marker that says when the flip was.
+
+It owns the world and the truth. A round waits no longer than until the next change is due, so a jump is drawn when it
+is due and not a frame later.
+"""
+
+from dataclasses import replace
+
+from bci_app.clock import Clock
+from bci_app.config import Config
+from bci_app.lsl import MarkerOutlet, MessageInlet, MessageOutlet, local_clock
+from bci_app.peer import Peer
+from bci_app.protocol import (
+    ACTIONS_STREAM,
+    MARKERS,
+    SESSION,
+    STIMULUS,
+    TRUTH,
+    Action,
+    Command,
+    marker_code,
+)
+from stimulus.paradigm import Paradigm, Scene
+from stimulus.view import View
+
+FRAME_S = 1 / 60
+"""Real seconds between two pictures of the running countdown where the screen doesn't pace the flips."""
+POLL_S = 0.002
+"""Longest real time between two looks at keyboard, commands and actions."""
+
+
+def run(config: Config, clock: Clock, paradigm: Paradigm, commanded: bool, parent: int | None = None) -> None:
+    """Show one run.
+
+    Parameters
+    ----------
+    paradigm : the run, ready to start; it knows its session.
+    commanded : bci-app says when to begin; otherwise a key does, or, headless, the peers' being there.
+    parent : process id of the program that started this one, if it must end with it.
+    """
+    session = paradigm.session
+    peer = Peer(STIMULUS, "stimulus", session, clock, parent)
+    view = View(config.stimulus, f"ErrP {session}")
+    try:
+        shell = _Shell(config, peer, paradigm, view)
+        shell.connect(commanded)
+        if not commanded and config.stimulus.headless:
+            paradigm.start(clock.now())
+        while not paradigm.done:
+            shell.frame()
+        peer.say("done")
+    except KeyboardInterrupt:
+        paradigm.stop(clock.now(), "interrupted", "The stimulus was interrupted.")
+        shell.send()
+        raise
+    finally:
+        view.close()
+
+
+class _Shell:
+    """The frame loop's connections and what it remembers from frame to frame."""
+
+    def __init__(self, config: Config, peer: Peer, paradigm: Paradigm, view: View) -> None:
+        self._config = config
+        self._peer = peer
+        self._clock = peer.clock
+        self._paradigm = paradigm
+        self._view = view
+        self._truth = MessageOutlet(TRUTH, peer.session)
+        self._markers = MarkerOutlet(MARKERS, peer.session)
+        self._actions: MessageInlet | None = None
+        self._commands: MessageInlet | None = None
+        self._shown: Scene | None = None
+        self._drawn_at = 0.0
+        self._held_since: float | None = None
+        self._paused_for_action = False
+        # A jump is due on a frame's edge. Where the screen paces the flips, one drawn only then would be a frame late.
+        self._lead = 0.0 if config.stimulus.headless else FRAME_S / 2
+
+    def connect(self, commanded: bool) -> None:
+        """Find whom this run listens to: the policy when moves come from outside, bci-app when it leads."""
+        if self._paradigm.needs_actions:
+            self._actions = self._peer.wait_for(ACTIONS_STREAM)
+        if commanded:
+            self._commands = self._peer.wait_for(SESSION)
+
+    def frame(self) -> None:
+        """Input, update, draw, flip, then the messages that tell of it, then wait for what comes next."""
+        self._peer.say("ready" if self._paradigm.waiting_for == "start" else "running", self._paradigm.progress)
+        self._hear()
+        now = self._clock.now()
+        self._paradigm.update(now + self._lead)
+        self._hold(now)
+        self._show(self._paradigm.scene(now))
+        self.send()
+        self._wait()
+
+    def send(self) -> None:
+        """Publish what the paradigm has to say, each message with its own stamp."""
+        for out in self._paradigm.take_messages():
+            if out.stream == "truth":
+                self._truth.push(out.message, out.stamp)
+                continue
+            self._peer.push(out.message, out.stamp)
+            code = marker_code(out.message)
+            if code is not None:
+                self._markers.push(code, out.stamp)
+
+    def _hear(self) -> None:
+        now = self._clock.now()
+        for key in self._view.events():
+            self._pressed(key, now)
+        for item in self._peer.hear(self._commands) if self._commands else ():
+            match item.message:
+                case Command(command="start"):
+                    self._paradigm.start(now)
+                case Command(command="stop"):
+                    self._paradigm.stop(now, "interrupted", "Stopped by the experimenter.")
+        for item in self._peer.hear(self._actions) if self._actions else ():
+            if isinstance(item.message, Action):
+                self._offer(item.message)
+
+    def _pressed(self, key: str, now: float) -> None:
+        match key:
+            case "start" if self._paradigm.waiting_for == "start" and not self._commands:
+                self._paradigm.start(now)
+            case "start" if self._paradigm.waiting_for == "resume":
+                self._paradigm.resume(now)
+            case "start":
+                self._paradigm.key_start(now)
+            case "pause":
+                self._paradigm.pause(now, "The experimenter pressed pause.")
+            case "stop":
+                self._paradigm.stop(now, "interrupted", "Stopped at the stimulus's keyboard.")
+
+    def _offer(self, action: Action) -> None:
+        refusal = self._paradigm.offer_action(action)
+        if refusal is not None:
+            self._peer.note("warning", f"Action refused: {refusal}")
+        elif self._paused_for_action:
+            self._paused_for_action = False
+            self._paradigm.resume(self._clock.now())
+
+    def _hold(self, now: float) -> None:
+        """An action that is missing holds the countdown; when it stays away the run pauses and says why."""
+        if self._paradigm.waiting_for != "resume":
+            self._paused_for_action = False
+        if self._paradigm.waiting_for != "action":
+            self._held_since = None
+            return
+        self._held_since = self._held_since or local_clock()
+        if local_clock() - self._held_since > self._config.stimulus.hold_s:
+            reason = f"No action from the policy for {self._config.stimulus.hold_s:g} s."
+            self._peer.note("error", reason)
+            self._paradigm.pause(now, reason)
+            self._paused_for_action = True
+
+    def _show(self, scene: Scene) -> None:
+        """Draw what changed; of the running countdown no more than a frame's worth."""
+        if scene == self._shown:
+            return
+        only_countdown = self._shown is not None and replace(scene, countdown=self._shown.countdown) == self._shown
+        if only_countdown and local_clock() - self._drawn_at < FRAME_S:
+            return
+        self._view.draw(scene)
+        self._view.flip()
+        onset = self._clock.now()
+        self._shown, self._drawn_at = scene, local_clock()
+        if self._paradigm.awaiting_flip:
+            self._paradigm.flipped(onset)
+
+    def _wait(self) -> None:
+        due = self._paradigm.next_due()
+        self._peer.rest(min(POLL_S, POLL_S if due is None else self._clock.real_until(due)))
