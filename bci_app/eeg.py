@@ -87,6 +87,12 @@ class EegDescription:
             )
         return np.array([MICROVOLTS_PER[unit.strip().lower()] for unit in units])
 
-    def in_microvolts(self, samples: NDArray[Any]) -> NDArray[np.float64]:
-        """Samples as on the wire, (n_times, n_channels), to EEG in uV, (n_times, n_picks): live and replay alike."""
-        return samples[:, self.picks].astype(np.float64) * self.microvolts()
+    def in_microvolts(self, samples: NDArray[Any]) -> NDArray[Any]:
+        """Samples as on the wire, (n_times, n_channels), to EEG in uV, (n_times, n_picks): live and replay alike.
+
+        What is EEG in microvolts already is passed through as it is: half an hour is half a gigabyte.
+        """
+        factors = self.microvolts()
+        if len(self.picks) == len(self.channels) and (factors == 1).all():
+            return samples
+        return np.asarray(samples[:, self.picks].astype(np.float64) * factors)

@@ -4,9 +4,11 @@ Inlets deliver raw stamps: no clock synchronisation, no dejittering. Who needs t
 himself and says so, which is what makes a replay exact.
 """
 
-import logging
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +21,10 @@ from bci_app.eeg import EegDescription
 from bci_app.errors import LinkLost, SetupError
 from bci_app.protocol import PROTOCOL_VERSION, AnyMessage, BadMessage, Message, StreamSpec, decode, encode
 
-log = logging.getLogger(__name__)
+USUAL_PLACES = (Path("lsl_api.cfg"), Path("~/lsl_api/lsl_api.cfg").expanduser(), Path("/etc/lsl_api/lsl_api.cfg"))
+if "LSLAPICFG" not in os.environ and not any(path.exists() for path in USUAL_PLACES):
+    # liblsl reads it at its first call; by the environment, so that LabRecorder and the other processes do so too.
+    os.environ["LSLAPICFG"] = str(files("bci_app") / "lsl_api.cfg")
 
 OPEN_TIMEOUT_S = 10.0
 """Real seconds a stream that was just resolved may take to open, and to describe itself."""
@@ -141,7 +146,7 @@ class EegInlet:
         self.description.check()
         _open(self._inlet, self.description.name)
 
-    def pull(self, timeout: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def pull(self, timeout: float) -> tuple[NDArray[Any], NDArray[np.float64]]:
         """All waiting samples of the EEG channels, (n_times, n_picks) in microvolts, and raw stamps (n_times,).
 
         Waits up to `timeout` real seconds for the first sample, never for more.

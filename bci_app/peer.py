@@ -3,7 +3,7 @@
 import logging
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 from bci_app.clock import Clock
@@ -15,6 +15,10 @@ log = logging.getLogger(__name__)
 
 HEARTBEAT_S = 1.0
 """Real seconds between two `Status` messages of an unchanged state."""
+POLL_S = 0.01
+"""Real seconds between two rounds while lingering."""
+LINGER_S = 2.0
+"""Real seconds a process without a parent stays after its last message, so that every listener gets it."""
 State = Literal["waiting", "ready", "running", "done", "failed"]
 
 
@@ -48,7 +52,7 @@ class Peer:
             raise LinkLost("The program that started this process is gone; nothing is left to do here.")
         now = local_clock()
         if (state, text) != self._said or now - self._said_at >= HEARTBEAT_S:
-            if (state, text) != self._said:
+            if self._said is None or state != self._said[0]:
                 log.info("%s: %s", state, text)
             self._said, self._said_at = (state, text), now
             self.push(Status(session=self.session, role=self._role, state=state, text=text))
@@ -62,7 +66,7 @@ class Peer:
         """Connect to another process's stream, waiting as long as it takes and saying so."""
         while True:
             self.say("waiting", f"for the {spec.role}'s stream '{spec.name}' of session '{self.session}'")
-            inlet = MessageInlet.find(spec, self.session, timeout=HEARTBEAT_S / 2)
+            inlet = MessageInlet.find(spec, self.session, timeout=HEARTBEAT_S)
             if inlet is not None:
                 return inlet
 
@@ -77,3 +81,15 @@ class Peer:
     def rest(self, seconds: float) -> None:
         """Let `seconds` of real time pass: how long a round of a process's loop may take at most."""
         time.sleep(max(0.0, seconds))
+
+    def linger(self, work: Callable[[], None] | None = None) -> None:
+        """Stay after the last message, doing `work`: until the parent says so, or long enough for every listener."""
+        started = local_clock()
+        try:
+            while self._parent is not None or local_clock() - started < LINGER_S:
+                self.say("done")
+                if work is not None:
+                    work()
+                self.rest(POLL_S)
+        except KeyboardInterrupt:
+            log.info("Told to end.")

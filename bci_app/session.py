@@ -200,7 +200,7 @@ class _Conductor:
     def _connect(self) -> None:
         for role in self.plan.roles:
             if role not in self.inlets:
-                inlet = MessageInlet.find(STREAM_OF[role], self.session, timeout=0.1)
+                inlet = MessageInlet.find(STREAM_OF[role], self.session, timeout=1.0)
                 if inlet is not None:
                     self.inlets[role] = inlet
 
@@ -313,6 +313,7 @@ class _Conductor:
                 if self.recorder.alive:
                     self.progress("closing the recording", 0, 1)
                     self.recorder.stop()
+            self.inlets.clear()
             self.crew.end()
             self._save_sidecar(**self._closing())
         finally:

@@ -43,7 +43,7 @@ def run(config: Config, session: str, clock: Clock, model_path: Path | None, par
     server = _Server(config, peer, eeg, judge)
     server.look()
     server.serve(peer.wait_for(STIMULUS))
-    peer.say("done")
+    peer.linger()
 
 
 class _Server:

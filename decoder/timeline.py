@@ -21,9 +21,13 @@ _LEAST_CHUNKS = 3  # on each side of a gap between jittered chunks
 
 
 def measured_rate(times: Array) -> float:
-    """Samples a second, from the median time of half the stretch: neither jitter nor a single gap moves it; Hz."""
+    """Samples a second, Hz, from the median time that half the samples take; drop-outs are left out."""
+    steps = np.diff(times)
+    gap = np.abs(steps) > 2 * MAX_JITTER
+    steps[gap] = steps[~gap].mean()
+    elapsed = np.concatenate(([0.0], np.cumsum(steps)))
     half = len(times) // 2
-    return half / float(np.median(times[half:] - times[:-half]))
+    return half / float(np.median(elapsed[half:] - elapsed[:-half]))
 
 
 def check_rate(times: Array, sfreq: float, name: str, tolerance: float) -> float:

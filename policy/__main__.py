@@ -16,7 +16,7 @@ from policy.checkpoint import ENDING, PolicyCard, check_fits, load, save
 from policy.evaluation import NetworkPlayer, evaluate
 from policy.network import Network
 from policy.observation import LAYOUT, input_size
-from policy.simulator import Distribution
+from policy.simulator import DISTRIBUTIONS, Distribution
 from policy.training import HyperParameters, train, verdict_model
 
 EVALUATED: tuple[Distribution, ...] = ("pairs", "distances")
@@ -38,9 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _train(options: argparse.Namespace, console: Console) -> Path:
     torch.set_num_threads(1)
     world = load_map(options.map)
-    settings = HyperParameters(
-        **{field.name: getattr(options, field.name) for field in fields(HyperParameters)}
-    )
+    settings = HyperParameters(**{field.name: getattr(options, field.name) for field in fields(HyperParameters)})
     start = _start(options.start, world) if options.start else None
     bar = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn()
     with Progress(*bar, console=console) as progress:
@@ -51,7 +49,12 @@ def _train(options: argparse.Namespace, console: Console) -> Path:
 
         network = train(world, options.accuracy, settings, show, start)
         elapsed = progress.tasks[0].elapsed or 0.0
-    card = describe(network, world, options.accuracy, settings, elapsed / 60)
+    recipe = {
+        "start": options.start.stem if options.start else None,
+        "settings": asdict(settings),
+        "minutes": round(elapsed / 60, 1),
+    }
+    card = describe(network, world, options.accuracy, recipe, options.test_episodes)
     for name, result in card.recipe["evaluation"].items():
         console.print(f"{name}: {result['steps']:.2f} steps, success {result['success']:.2%}")
     path: Path = options.out / f"{card.name}{ENDING}"
@@ -65,22 +68,16 @@ def _start(path: Path, world: GridWorld) -> Network:
     return network.train()
 
 
-def describe(
-    network: Network, world: GridWorld, accuracy: float | None, settings: HyperParameters, minutes: float
-) -> PolicyCard:
-    """The card of a freshly trained policy, with its figures on both distributions of episodes."""
-    verdicts = verdict_model(accuracy, missing=0.0)
-    recipe: dict[str, Any] = {
-        "settings": asdict(settings),
-        "minutes": round(minutes, 1),
-        "torch": str(torch.__version__),
-        "numpy": np.__version__,
-        "evaluation": {
-            name: asdict(evaluate(NetworkPlayer(network, world), world, verdicts, name, seed=1))
-            for name in EVALUATED
-        },
+def describe(network: Network, world: GridWorld, accuracy: float | None, recipe: dict[str, Any], n: int) -> PolicyCard:
+    """The card of a freshly trained policy: its recipe, versions, and figures of ``n`` episodes of each kind."""
+    player, verdicts = NetworkPlayer(network, world), verdict_model(accuracy, missing=0.0)
+    results = {name: evaluate(player, world, verdicts, name, n, seed=1) for name in EVALUATED}
+    told = {
+        **recipe,
+        "versions": {"torch": str(torch.__version__), "numpy": np.__version__},
+        "evaluation": {name: asdict(result) for name, result in results.items()},
     }
-    return PolicyCard(world.name, world.digest, accuracy, LAYOUT, input_size(world), world.n_cells, recipe)
+    return PolicyCard(world.name, world.digest, accuracy, LAYOUT, input_size(world), world.n_cells, told)
 
 
 def _accuracy(text: str) -> float | None:
@@ -98,9 +95,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--accuracy", type=_accuracy, default=0.75, help="of the verdicts, or 'none'")
     parser.add_argument("--out", type=Path, required=True, help="folder of the policy file")
     parser.add_argument("--start", type=Path, help="a policy file of this map to go on from")
+    parser.add_argument("--test-episodes", type=int, default=5000, help="of each kind, to evaluate it on")
     for field in fields(HyperParameters):
+        # The sentence of each is in HyperParameters.
         parser.add_argument(
-            f"--{field.name.replace('_', '-')}", type=type(field.default), default=field.default
+            f"--{field.name.replace('_', '-')}",
+            type=type(field.default),
+            default=field.default,
+            choices=DISTRIBUTIONS if field.name == "distribution" else None,
         )
     return parser
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save as serialize
 
 from bci_app.errors import SetupError
 from bci_app.gridworld import GridWorld
@@ -51,7 +51,8 @@ def save(path: Path, network: Network, card: PolicyCard) -> None:
     fields = {key: value for key, value in asdict(card).items() if key != "path"}
     path.parent.mkdir(parents=True, exist_ok=True)
     weights = {name: tensor.contiguous() for name, tensor in network.state_dict().items()}
-    save_file(weights, path, metadata={"card": json.dumps(fields, sort_keys=True)})
+    # Bytes, for save_file makes files that only their owner may read.
+    path.write_bytes(serialize(weights, metadata={"card": json.dumps(fields, sort_keys=True)}))
 
 
 def read_card(path: Path) -> PolicyCard:
@@ -82,9 +83,7 @@ def load(path: Path) -> tuple[Network, PolicyCard]:
         with safe_open(path, framework="pt") as file:
             network.load_state_dict({name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118
     except (RuntimeError, SafetensorError) as error:
-        raise SetupError(
-            f"Policy '{path}' has weights of another network ({error}). Train it again."
-        ) from error
+        raise SetupError(f"Policy '{path}' has weights of another network ({error}). Train it again.") from error
     return network.eval(), card
 
 

@@ -44,7 +44,7 @@ def run(
         server.listen(peer.hear(verdicts, timeout=POLL_S))
         server.listen(peer.hear(stimulus))
         server.expire()
-    peer.say("done")
+    peer.linger()
 
 
 class _Server:

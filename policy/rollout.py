@@ -79,34 +79,39 @@ class Collector:
         return Rollout(hidden=first_hidden, epsilon=epsilon, **columns)
 
     def _step(self, network: Network, critic: Critic, epsilon: float) -> dict[str, Tensor]:
-        simulator, starts = self.simulator, torch.from_numpy(self.episode_starts)
-        inputs = torch.from_numpy(encode(self.world, simulator.view()))
-        legal = torch.from_numpy(self.world.legal[simulator.cell])
-        state, belief = self.state(), torch.from_numpy(self.filter.belief.copy())
-        taught = torch.from_numpy(self.filter.greedy(self.rng))
-        logits, _, self.hidden = network(inputs, self.hidden * (~starts).float()[:, None])
-        log_probabilities = action_log_probabilities(logits, legal, epsilon)
-        action = self._draw(log_probabilities)
-        outcome = simulator.step(action.numpy())
-        self.filter.update(simulator.view())
-        next_values = torch.zeros(simulator.n)
+        before = self._perceive()
+        memory = self.hidden * (~before["episode_starts"]).float()[:, None]
+        logits, _, self.hidden = network(before["inputs"], memory)
+        log_probabilities = action_log_probabilities(logits, before["legal"], epsilon)
+        actions = self._draw(log_probabilities)
+        taken = log_probabilities.gather(1, actions[:, None])[:, 0]
+        return {**before, "actions": actions, "log_probabilities": taken, **self._move(actions, critic)}
+
+    def _perceive(self) -> dict[str, Tensor]:
+        """What actor, critic and teacher know before a move."""
+        return {
+            "inputs": torch.from_numpy(encode(self.world, self.simulator.view())),
+            "legal": torch.from_numpy(self.world.legal[self.simulator.cell]),
+            "episode_starts": torch.from_numpy(self.episode_starts),
+            "states": self.state(),
+            "beliefs": torch.from_numpy(self.filter.belief.copy()),
+            "taught": torch.from_numpy(self.filter.greedy(self.rng)),
+        }
+
+    def _move(self, actions: Tensor, critic: Critic) -> dict[str, Tensor]:
+        """Move every episode, and begin those that are over anew."""
+        outcome = self.simulator.step(actions.numpy())
+        self.filter.update(self.simulator.view())
+        next_values = torch.zeros(self.simulator.n)
         if outcome.truncated.any():
             truncated = torch.from_numpy(outcome.truncated)
             next_values[truncated] = critic(self.state()[truncated])
         rewards = (GOAL_REWARD * outcome.terminated + STEP_REWARD) / GOAL_REWARD
         self._restart(outcome.done)
         return {
-            "inputs": inputs,
-            "legal": legal,
-            "episode_starts": starts,
-            "actions": action,
-            "log_probabilities": log_probabilities.gather(1, action[:, None])[:, 0],
-            "states": state,
             "rewards": torch.from_numpy(rewards.astype(np.float32)),
             "ended": torch.from_numpy(outcome.done),
             "next_values": next_values,
-            "beliefs": belief,
-            "taught": taught,
         }
 
     def _restart(self, done: Bools) -> None:

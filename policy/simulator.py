@@ -51,9 +51,7 @@ class VerdictModel:
 
     def likelihood(self) -> Floats:
         """P(verdict | truth), (3, 2): rows missing, error, correct (so ``verdict`` indexes it), columns truth."""
-        return np.array(
-            [[1.0, 1.0], [1 - self.correct_rejection, self.hit], [self.correct_rejection, 1 - self.hit]]
-        )
+        return np.array([[1.0, 1.0], [1 - self.correct_rejection, self.hit], [self.correct_rejection, 1 - self.hit]])
 
 
 NO_VERDICTS = VerdictModel(0.5, 0.5, missing=1.0)

@@ -30,11 +30,11 @@ class HyperParameters:
     """Steps of each between updates, and the length of back-propagation through time."""
     warm_minibatches: int = 16
     """Gradient steps an update of the warm start; each takes some of the episodes, never a part of time."""
-    n_minibatches: int = 2
+    n_minibatches: int = 4
     """The same afterwards: policy gradients are noisier and want larger batches."""
-    warm_updates: int = 250
+    warm_updates: int = 350
     """Updates that imitate the Bayes filter's moves, before reinforcement."""
-    updates: int = 800
+    updates: int = 550
     """All updates, the warm ones included."""
     distribution: Distribution = "mixture"
     """Starts and goals: half like random episodes, half like the experiment's, so that far goals are learnt."""
@@ -93,9 +93,7 @@ class Losses:
     ratio: Tensor
 
 
-def losses(
-    network: Network, critic: Critic, rollout: Rollout, advantage: Tensor, which: Tensor, clip: float
-) -> Losses:
+def losses(network: Network, critic: Critic, rollout: Rollout, advantage: Tensor, which: Tensor, clip: float) -> Losses:
     """All losses on the episodes ``which``, int64, (n_minibatch,)."""
     logits, goal_logits = network.unroll(
         rollout.inputs[:, which], rollout.hidden[which], rollout.episode_starts[:, which]
@@ -136,8 +134,7 @@ def train(
     collector = Collector(world, settings.n_episodes, weights, verdict_model(accuracy, settings.missing), rng)
     network = start or Network(input_size(world), world.n_cells)
     critic = Critic(collector.state().shape[1])
-    parameters = [*network.parameters(), *critic.parameters()]
-    optimizer = torch.optim.Adam(parameters, lr=settings.learning_rate, eps=1e-5)
+    optimizer = torch.optim.Adam([*network.parameters(), *critic.parameters()], eps=1e-5)
     for update in range(settings.updates):
         optimizer.param_groups[0]["lr"] = settings.learning_rate * max(1 - update / settings.updates, 0.05)
         warm = update < settings.warm_updates
@@ -146,14 +143,18 @@ def train(
         shuffled = torch.from_numpy(rng.permutation(settings.n_episodes))
         for which in shuffled.chunk(settings.warm_minibatches if warm else settings.n_minibatches):
             loss = losses(network, critic, rollout, advantage, which, settings.clip)
-            guided = loss.imitation if warm else loss.actor - settings.entropy * loss.entropy
-            total = guided + loss.critic + settings.goal_weight * loss.goal
-            optimizer.zero_grad()
-            total.backward()  # type: ignore[no-untyped-call]
-            torch.nn.utils.clip_grad_norm_(parameters, settings.max_gradient)
-            optimizer.step()
+            _descend(optimizer, loss, settings, warm)
         progress(update + 1, _figures(rollout, loss))
     return network
+
+
+def _descend(optimizer: torch.optim.Optimizer, loss: Losses, settings: HyperParameters, warm: bool) -> None:
+    guided = loss.imitation if warm else loss.actor - settings.entropy * loss.entropy
+    total = guided + loss.critic + settings.goal_weight * loss.goal
+    optimizer.zero_grad()
+    total.backward()  # type: ignore[no-untyped-call]
+    torch.nn.utils.clip_grad_norm_(optimizer.param_groups[0]["params"], settings.max_gradient)
+    optimizer.step()
 
 
 def _epsilon(settings: HyperParameters, update: int) -> float:

@@ -16,8 +16,10 @@ from bci_app.protocol import (
     SESSION,
     STIMULUS,
     TRUTH,
+    VERDICTS,
     Action,
     Command,
+    Status,
     marker_code,
 )
 from stimulus.paradigm import Paradigm, Scene
@@ -45,10 +47,11 @@ def run(config: Config, clock: Clock, paradigm: Paradigm, commanded: bool, paren
         shell = _Shell(config, peer, paradigm, view)
         shell.connect(commanded)
         if not commanded and config.stimulus.headless:
+            shell.await_peers()
             paradigm.start(clock.now())
         while not paradigm.done:
             shell.frame()
-        peer.say("done")
+        peer.linger()
     except KeyboardInterrupt:
         paradigm.stop(clock.now(), "interrupted", "The stimulus was interrupted.")
         shell.send()
@@ -83,6 +86,16 @@ class _Shell:
             self._actions = self._peer.wait_for(ACTIONS_STREAM)
         if commanded:
             self._commands = self._peer.wait_for(SESSION)
+
+    def await_peers(self) -> None:
+        """Without bci-app and without a key, begin once decoder and policy say that they hear this process."""
+        verdicts = self._peer.wait_for(VERDICTS)
+        for inlet in (verdicts, self._actions):
+            while inlet is not None and not any(
+                isinstance(item.message, Status) and item.message.state == "ready"
+                for item in self._peer.hear(inlet, POLL_S)
+            ):
+                self._peer.say("waiting", "for decoder and policy to be ready")
 
     def frame(self) -> None:
         """Input, update, draw, flip, then the messages that tell of it, then wait for what comes next."""

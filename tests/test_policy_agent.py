@@ -45,9 +45,7 @@ def test_the_live_agent_moves_as_the_vectorised_evaluation(name):
             cell = int(cells[i])
             if cell == goal:
                 break
-            decision = agent.step(
-                int(actions[i]), cell, world.goal_sensed(cell, goal), NAMES[int(verdicts[i])]
-            )
+            decision = agent.step(int(actions[i]), cell, world.goal_sensed(cell, goal), NAMES[int(verdicts[i])])
 
 
 def test_the_same_episode_gives_the_same_bits_and_nothing_is_left_from_the_last_one():

@@ -108,7 +108,7 @@ def test_the_library_lists_every_shipped_policy():
 
 def test_the_command_trains_a_policy_of_a_labs_own_map(tmp_path, capsys):
     (tmp_path / "ring.txt").write_text("...\n.#.\n...\n")
-    few = ["--updates", "2", "--warm-updates", "1", "--n-episodes", "16", "--n-steps", "4"]
+    few = ["--updates", "2", "--warm-updates", "1", "--n-episodes", "16", "--n-steps", "4", "--test-episodes", "50"]
     where = ["--map", str(tmp_path / "ring.txt"), "--accuracy", "none", "--out", str(tmp_path)]
     assert main([*where, *few]) == 0
     path = tmp_path / "ring_none.safetensors"

@@ -12,6 +12,7 @@ from policy.rollout import GOAL_REWARD, STEP_REWARD, Collector, Rollout
 from policy.simulator import VerdictModel, pair_weights
 from policy.training import HyperParameters, advantages, losses, train
 
+torch.set_num_threads(1)  # small matrices: more threads only wait for each other
 CROSS = compile_map("#.#\n...\n#.#", "cross")
 RING = compile_map("....\n.##.\n.##.\n....", "ring")
 QUICK = HyperParameters(n_episodes=64, n_steps=10, warm_minibatches=4, warm_updates=0, updates=60)
@@ -19,9 +20,7 @@ QUICK = HyperParameters(n_episodes=64, n_steps=10, warm_minibatches=4, warm_upda
 
 def collected(n=8, n_steps=30, seed=0, epsilon=0.2):
     torch.manual_seed(seed)
-    collector = Collector(
-        RING, n, pair_weights(RING, "pairs"), VerdictModel.right(0.8), np.random.default_rng(seed)
-    )
+    collector = Collector(RING, n, pair_weights(RING, "pairs"), VerdictModel.right(0.8), np.random.default_rng(seed))
     network = Network(input_size(RING), RING.n_cells)
     critic = Critic(collector.state().shape[1])
     # The second rollout starts in the middle of episodes, with a memory that isn't empty.
@@ -106,9 +105,7 @@ def test_training_learns_a_small_task_that_needs_memory(warm):
 
 def test_training_is_deterministic_from_its_seed_and_reports_progress():
     short, seen = replace(QUICK, updates=3, warm_updates=1), []
-    networks = [
-        train(CROSS, None, short, lambda update, figures: seen.append((update, figures))) for _ in range(2)
-    ]
+    networks = [train(CROSS, None, short, lambda update, figures: seen.append((update, figures))) for _ in range(2)]
     for one, other in zip(*(network.state_dict().values() for network in networks), strict=True):
         assert torch.equal(one, other)
     assert [update for update, _ in seen] == [1, 2, 3] * 2

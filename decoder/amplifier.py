@@ -1,0 +1,103 @@
+"""The amplifier process of a simulation: plays a participant's EEG over LSL and listens to nothing but the truth."""
+
+from pathlib import Path
+
+import numpy as np
+
+from bci_app.clock import Clock
+from bci_app.config import Config, SimulationConfig
+from bci_app.eeg import EegDescription
+from bci_app.lsl import EegOutlet, MessageInlet
+from bci_app.peer import Peer
+from bci_app.protocol import AMPLIFIER_NOTES, STIMULUS, TRUTH, SessionEnd, Truth
+from decoder.background import read_background
+from decoder.participant import Participant
+
+LOOK_EVERY = 10
+"""Rounds between two looks for the stimulus's streams, while they are not found: a look takes time from the play."""
+
+
+def run(config: Config, session: str, clock: Clock, parent: int | None = None) -> None:
+    """Play until the session ends. Samples carry the session time of their acquisition, whenever they are sent."""
+    peer = Peer(AMPLIFIER_NOTES, "amplifier", session, clock, parent)
+    peer.say("waiting", "for the participant to wake up")
+    player = _Player(config, peer)
+    while not player.ended:
+        peer.say("ready" if player.listening else "waiting", "playing EEG")
+        player.connect()
+        player.listen(config.simulation.chunk_s)
+        player.play()
+    peer.linger(player.play)
+
+
+def make_participant(config: SimulationConfig, t0: float) -> Participant:
+    """The participant of the configuration; sample 0 is taken at session time `t0`."""
+    background = read_background(Path(config.background), config.sfreq) if config.background else None
+    return Participant(config.seed, config.sfreq, config.decodability, config.errp, background=background, t0=t0)
+
+
+class _Player:
+    """A participant wired to an EEG outlet and to the stimulus's truth."""
+
+    def __init__(self, config: Config, peer: Peer) -> None:
+        self._config = config.simulation
+        self._peer = peer
+        self._t0 = peer.clock.now()
+        self._participant = make_participant(config.simulation, self._t0)
+        names = tuple(self._participant.names)
+        n_channels = len(names)
+        source_id = config.eeg.source_id or f"bci-app/{peer.session}/eeg"
+        description = EegDescription(
+            name="SimulatedAmplifier",
+            source_id=source_id,
+            hostname="",
+            channels=names,
+            units=("microvolts",) * n_channels,
+            types=("EEG",) * n_channels,
+            sfreq=self._participant.sfreq,
+        )
+        self._outlet = EegOutlet(description, peer.session)
+        self._truth: MessageInlet | None = None
+        self._stimulus: MessageInlet | None = None
+        self._rounds = 0
+        self._played = 0
+        self.ended = False
+
+    @property
+    def listening(self) -> bool:
+        """Whether the stimulus is heard."""
+        return self._truth is not None and self._stimulus is not None
+
+    def connect(self) -> None:
+        """Look for the stimulus, now and then, until it is found."""
+        self._rounds += 1
+        if self.listening or self._rounds % LOOK_EVERY:
+            return
+        self._truth = self._truth or MessageInlet.find(TRUTH, self._peer.session, timeout=1.0)
+        if self._truth:
+            self._stimulus = self._stimulus or MessageInlet.find(STIMULUS, self._peer.session, timeout=1.0)
+
+    def listen(self, timeout: float) -> None:
+        """React to moves as soon as their truth is told; the stimulus's own stream tells only when all is over."""
+        if self._truth is None:
+            self._peer.rest(timeout)
+            return
+        for item in self._peer.hear(self._truth, timeout):
+            match item.message:
+                case Truth(error=error) as truth if not self._participant.respond(item.stamp, error):
+                    text = f"The truth of episode {truth.episode}, step {truth.step} came after its samples were sent."
+                    self._peer.note("error", text)
+        for item in self._peer.hear(self._stimulus) if self._stimulus else ():
+            self.ended |= isinstance(item.message, SessionEnd)
+
+    def play(self) -> None:
+        """Send what was acquired up to now less the amplifier's own delay."""
+        clock = self._peer.clock
+        acquired = clock.now() - self._config.delay_s * clock.speed - self._t0
+        n_new = int(acquired * self._participant.sfreq) - self._played
+        if n_new <= 0:
+            return
+        samples = self._participant.render(self._played, n_new)
+        stamps = self._t0 + np.arange(self._played, self._played + n_new) / self._participant.sfreq
+        self._outlet.push(samples, stamps)
+        self._played += n_new

@@ -1,0 +1,90 @@
+"""Messages survive the wire to the bit, strangers are refused, and docs/protocol.md tells all of it."""
+
+import json
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bci_app import protocol
+from bci_app.protocol import AnyMessage, BadMessage, EpisodeEnd, MoveOnset, Verdict, decode, encode, marker_code
+
+PAGE = (Path(__file__).parents[1] / "docs" / "protocol.md").read_text(encoding="utf-8")
+floats = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(floats, floats, st.integers(0, 10**6), st.integers(1, 60))
+def test_floats_survive_to_the_bit(log_odds: float, first_time: float, episode: int, step: int) -> None:
+    verdict = Verdict(
+        session="s",
+        episode=episode,
+        step=step,
+        outcome="error",
+        log_odds=log_odds,
+        clock_offset=0.0,
+        first_time=first_time,
+    )
+    again = decode(encode(verdict), "s")
+    assert isinstance(again, Verdict)
+    assert again == verdict
+    assert str(again.log_odds) == str(log_odds)  # tells -0.0 from 0.0
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("hello", "Invalid JSON"),
+        ("{}", "type"),
+        ('{"protocol": 2, "session": "s", "type": "Resume"}', "protocol"),
+        ('{"protocol": 1, "session": "s", "type": "Resume", "extra": 1}', "extra"),
+        ('{"protocol": 1, "session": "other", "type": "Resume"}', "session 'other'"),
+        ('{"protocol": 1, "session": "s", "type": "Gossip"}', "type"),
+        (
+            '{"protocol": 1, "session": "s", "type": "Verdict", "episode": 0, "step": 1, "outcome": "error",'
+            ' "clock_offset": NaN}',
+            "clock_offset",
+        ),
+    ],
+)
+def test_what_is_no_message_of_this_session_is_refused(text: str, says: str) -> None:
+    with pytest.raises(BadMessage) as error:
+        decode(text, "s")
+    assert says.lower() in str(error.value).lower()
+
+
+@given(st.text())
+def test_garbage_never_gets_through(text: str) -> None:
+    with pytest.raises(BadMessage):
+        decode(text, "s")
+
+
+@pytest.mark.parametrize("model", get_args(AnyMessage))
+def test_the_page_tells_every_message_and_field(model: type[protocol.Message]) -> None:
+    assert f"`{model.__name__}`" in PAGE
+    for field in set(model.model_fields) - {"protocol", "session", "type"}:
+        assert f"`{field}`" in PAGE, f"{model.__name__}.{field} is missing from docs/protocol.md"
+
+
+@pytest.mark.parametrize("spec", protocol.STREAMS)
+def test_the_page_tells_every_stream(spec: protocol.StreamSpec) -> None:
+    assert f"| `{spec.name}` | `{spec.kind}` |" in PAGE
+    assert spec.source_id("SESSION") in PAGE
+
+
+def test_markers_stand_for_messages_and_never_for_the_truth() -> None:
+    move = MoveOnset(
+        session="s", episode=0, step=1, action="west", position=(0, 0), sensed=(False, False, False, False, False)
+    )
+    assert marker_code(move) == 3
+    assert marker_code(EpisodeEnd(session="s", episode=0, steps=3, reason="goal")) == 21
+    truth = protocol.Truth(session="s", episode=0, step=1, error=True, distance=3)
+    goal = protocol.EpisodeGoal(session="s", episode=0, goal=(1, 1), distance=3)
+    assert marker_code(truth) is marker_code(goal) is None
+
+
+def test_no_stimulus_message_can_carry_the_goal() -> None:
+    told = {name for model in (protocol.EpisodeStart, MoveOnset, EpisodeEnd) for name in model.model_fields}
+    assert not told & {"goal", "error", "distance"}
+    assert "goal" in json.loads(encode(protocol.EpisodeGoal(session="s", episode=0, goal=(1, 1), distance=3)))

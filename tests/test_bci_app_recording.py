@@ -1,0 +1,50 @@
+"""Reading recordings: other people's, and broken ones. A broken one is said to be broken."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from bci_app.errors import SetupError
+from bci_app.recording import read
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [(b"", "is empty"), (b"PK\x03\x04 not ours", "not an XDF"), (b"XDF:" + b"\xff" * 50, "can't be read|exactly one")],
+)
+def test_what_is_no_recording_is_refused(tmp_path: Path, content: bytes, says: str) -> None:
+    path = tmp_path / "x.xdf"
+    path.write_bytes(content)
+    with pytest.raises(SetupError, match=says):
+        read(path)
+    assert path.read_bytes() == content
+
+
+def test_a_missing_recording_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SetupError, match=r"Can't read the recording .*absent\.xdf"):
+        read(tmp_path / "absent.xdf")
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("minimal.xdf", "no messages of ours"),
+        ("empty_streams.xdf", "exactly one EEG stream"),
+        ("clock_resets.xdf", "no messages of ours"),
+        ("sub-P001_ses-S001_task-P300Checkboard_run-001_eeg.xdf", "no messages of ours"),
+    ],
+)
+def test_other_peoples_recordings_are_told_from_ours(data: Path, name: str, says: str) -> None:
+    with pytest.raises(SetupError, match=says):
+        read(data / "xdf" / name)
+
+
+def test_a_cut_recording_is_said_to_be_cut(data: Path, tmp_path: Path) -> None:
+    whole = data / "xdf" / "sub-P001_ses-S001_task-P300Checkboard_run-001_eeg.xdf"
+    cut = tmp_path / "cut.xdf"
+    shutil.copy(whole, cut)
+    with cut.open("r+b") as file:
+        file.truncate(whole.stat().st_size // 2)
+    with pytest.raises(SetupError, match="damaged"):
+        read(cut)

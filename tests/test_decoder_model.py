@@ -1,0 +1,124 @@
+"""The model file and how a stream is fitted to it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from bci_app.config import ChainConfig, ClassifierConfig
+from bci_app.errors import SetupError
+from decoder.calibration import calibrate
+from decoder.chain import design
+from decoder.model import DecoderModel, fit_stream, load, make_model, save
+from decoder.montage import MONTAGE_64, canonical, directions
+from decoder.operator import features
+
+
+@pytest.fixture(scope="module")
+def model() -> DecoderModel:
+    rng = np.random.default_rng(0)
+    channels = ("Fz", "FCz", "Cz", "Pz")
+    error = rng.permutation(np.arange(100) < 30)
+    calibration = calibrate(rng.normal(error[:, None], 1, (100, 60)), error, ClassifierConfig())
+    chain = design(ChainConfig(), 500.0)
+    details = {"participant": "P003", "channels": channels, "n_rejected": 2}
+    return make_model(calibration, error, chain, ClassifierConfig(), **details)
+
+
+@pytest.fixture
+def file(model: DecoderModel, tmp_path: Path) -> Path:
+    path = tmp_path / "decoder.safetensors"
+    save(model, path)
+    return path
+
+
+def test_what_is_saved_comes_back_to_the_bit(model: DecoderModel, file: Path) -> None:
+    loaded = load(file)
+    assert loaded.info == model.info
+    epoch = np.random.default_rng(1).normal(0, 20, (model.info.n_before + model.info.n_after, 4))
+    before = model.classifier.log_odds(features(epoch, model.operator))
+    assert loaded.classifier.log_odds(features(epoch, loaded.operator)) == before
+    np.testing.assert_array_equal(loaded.held_out_log_odds, model.held_out_log_odds)
+    np.testing.assert_array_equal(loaded.held_out_error, model.held_out_error)
+
+
+def test_it_says_what_it_was_made_from(file: Path) -> None:
+    info = load(file).info
+    assert (info.participant, info.unit, info.n_error, info.n_correct, info.n_rejected) == ("P003", "uV", 30, 70, 2)
+    assert info.versions["numpy"] == np.__version__
+    assert 0 <= info.tenfold["balanced_accuracy"]["low"] <= info.tenfold["balanced_accuracy"]["value"] <= 1
+
+
+def test_it_is_never_overwritten(model: DecoderModel, file: Path) -> None:
+    contents = file.read_bytes()
+    with pytest.raises(SetupError, match="never overwritten"):
+        save(model, file)
+    assert file.read_bytes() == contents
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_damage_is_refused(file: Path, tmp_path: Path, data: st.DataObject) -> None:
+    contents = bytearray(file.read_bytes())
+    n_header = 8 + int.from_bytes(contents[:8], "little")
+    if data.draw(st.booleans()):
+        del contents[data.draw(st.integers(0, len(contents) - 1)) :]
+    else:
+        # A flipped digit of a number goes unnoticed; whatever breaks the header's form must not.
+        place = data.draw(st.integers(0, n_header - 1).filter(lambda i: chr(contents[i]) in '{}[]":,'))
+        contents[place] = ord("~")
+    path = tmp_path / "damaged.safetensors"
+    path.write_bytes(contents)
+    with pytest.raises(SetupError, match="damaged"):
+        load(path)
+
+
+@pytest.mark.parametrize("contents", [b"", b"not a decoder", b"PK\x03\x04" * 100])
+def test_other_files_are_refused(tmp_path: Path, contents: bytes) -> None:
+    path = tmp_path / "other"
+    path.write_bytes(contents)
+    with pytest.raises(SetupError, match="no decoder of format 1"):
+        load(path)
+    with pytest.raises(SetupError, match="Calibrate first"):
+        load(tmp_path / "missing")
+
+
+def test_a_future_format_is_refused(file: Path) -> None:
+    contents = file.read_bytes().replace(b'{\\"format\\":1', b'{\\"format\\":2')
+    file.write_bytes(contents)
+    with pytest.raises(SetupError, match="format"):
+        load(file)
+
+
+def test_reordered_and_respelt_channels_are_mended(model: DecoderModel) -> None:
+    found = fit_stream(model, "LiveAmp", ["AUX", "EEG PZ", "Cz..", "fcz", "FZ-Ref"], 500.0)
+    np.testing.assert_array_equal(found, [4, 3, 2, 1])
+
+
+def test_missing_channels_another_rate_and_twins_are_refused(model: DecoderModel) -> None:
+    with pytest.raises(SetupError) as error:
+        fit_stream(model, "LiveAmp", ["Fz", "Cz", "Pz"], 500.0)
+    assert str(error.value) == (
+        "Stream 'LiveAmp' has 3 channels; the decoder of P003 was calibrated on 4 (missing: FCz). "
+        "Fix the montage or recalibrate."
+    )
+    with pytest.raises(SetupError, match="runs at 250 Hz"):
+        fit_stream(model, "LiveAmp", ["Fz", "FCz", "Cz", "Pz"], 250.0)
+    with pytest.raises(SetupError, match="same electrode"):
+        fit_stream(model, "LiveAmp", ["Fz", "FCz", "Cz", "Pz", "FZ."], 500.0)
+
+
+@pytest.mark.parametrize("name", ["Fcz.", "FCZ", "EEG FCz", "eeg-fcz", "FCz-REF", " fcz "])
+def test_spellings_of_one_electrode(name: str) -> None:
+    assert canonical(name) == "fcz"
+
+
+def test_the_montage_is_symmetric_and_known() -> None:
+    assert len({canonical(name) for name in MONTAGE_64}) == 64
+    where = dict(zip(MONTAGE_64, directions(MONTAGE_64), strict=True))
+    assert where["Fz"][1] > 0.6 > -0.6 > where["Pz"][1]
+    assert where["T8"][0] > 0.9
+    np.testing.assert_allclose(where["C3"] * (-1, 1, 1), where["C4"], atol=0.1)
+    assert np.isnan(directions(["EOG"])).all()

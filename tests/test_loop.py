@@ -1,0 +1,177 @@
+"""The whole loop: real processes over real LSL, recorded by the real LabRecorder, then replayed.
+
+One short calibration and one online run per map are conducted once and looked at by many tests.
+"""
+
+import json
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bci_app.metrics import confusion, truths
+from bci_app.protocol import Action, EpisodeEnd, EpisodeStart, MoveOnset, Note, SessionEnd, SessionStart, Truth, Verdict
+from bci_app.recording import read
+from bci_app.runs import read_sidecar
+
+SPEED = 20
+SMALL = """
+recordings = "{folder}"
+[stimulus]
+headless = true
+[calibration]
+n_blocks = 2
+moves_per_block = 60
+break_s = 3
+[online]
+distances = [2, 8]
+"""
+
+
+@dataclass(frozen=True)
+class Session:
+    """A small study: its configuration file, and what each command printed."""
+
+    config: Path
+    calibration: dict[str, Any]
+    fit: dict[str, Any]
+    online: dict[str, dict[str, Any]]
+
+    def recording(self, name: str) -> Path:
+        return Path(self.calibration["recording"] if name == "calibration" else self.online[name]["recording"])
+
+
+def printed(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
+    assert done.returncode == 0, done.stderr
+    result: dict[str, Any] = json.loads(done.stdout)
+    return result
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory, cli) -> Session:
+    folder = tmp_path_factory.mktemp("study")
+    config = folder / "small.toml"
+    config.write_text(SMALL.format(folder=(folder / "recordings").as_posix()), encoding="utf-8")
+    common = ("--participant", "P001", "--config", config, "--simulate", "--speed", SPEED, "--decodability", 0.9)
+    calibration = printed(cli("calibrate", *common, "--seed", 5, "--json"))
+    fit = printed(cli("fit", calibration["recording"], "--config", config, "--json"))
+    online = {
+        name: printed(cli("online", *common, "--map", name, "--seed", 6, "--below-gate", "--json"))
+        for name in ("open", "obstacles")
+    }
+    return Session(config, calibration, fit, online)
+
+
+def test_every_move_of_the_calibration_has_a_valid_epoch(session: Session) -> None:
+    assert session.calibration["moves"] == 120
+    assert session.calibration["verdicts"] == {"unjudged": 120}
+    assert session.fit["calibration"]["n_moves"] == session.fit["calibration"]["n_valid"] == 120
+    assert session.calibration["notes"] == []
+
+
+def test_the_recording_holds_what_was_said(session: Session) -> None:
+    for name in ("calibration", "open", "obstacles"):
+        recording = read(session.recording(name))
+        told = session.calibration if name == "calibration" else session.online[name]
+        assert not recording.damage
+        assert len(recording.of(MoveOnset)) == len(recording.of(Truth)) == told["moves"]
+        assert len(recording.of(Verdict)) == sum(told["verdicts"].values()) == told["moves"]
+        assert len(recording.of(Action)) == told["actions"]
+        assert [end.reason for _, end in recording.of(SessionEnd)] == ["complete"]
+        assert len(recording.of(SessionStart)) == 1
+        sidecar = read_sidecar(recording.path)
+        assert sidecar["state"] == "closed"
+        assert sidecar["config"]["chain"]["sfreq"] == 256
+
+
+def test_the_eeg_is_gapless(session: Session) -> None:
+    recording = read(session.recording("calibration"))
+    assert np.abs(np.diff(recording.times) * 500 - 1).max() < 1e-3
+
+
+def test_onsets_are_three_seconds_apart_within_an_episode(session: Session) -> None:
+    recording = read(session.recording("calibration"))
+    onsets = {(move.episode, move.step): stamp for stamp, move in recording.of(MoveOnset)}
+    gaps = [stamp - onsets[e, s - 1] for (e, s), stamp in onsets.items() if s > 1]
+    # A round of the frame loop is 2 ms real time at most, when the machine isn't busy otherwise.
+    assert np.median(gaps) == pytest.approx(3.0, abs=0.1)
+    assert min(gaps) >= 3.0
+
+
+def test_moves_follow_the_actions_and_episodes_their_rules(session: Session) -> None:
+    for name in ("open", "obstacles"):
+        recording = read(session.recording(name))
+        chosen = {(action.episode, action.step): action.action for _, action in recording.of(Action)}
+        assert chosen == {(move.episode, move.step): move.action for _, move in recording.of(MoveOnset)}
+        ends = [end for _, end in recording.of(EpisodeEnd)]
+        assert len(ends) == len(recording.of(EpisodeStart)) == 7
+        assert all(end.reason == ("goal" if end.steps < 60 else end.reason) for end in ends)
+
+
+def test_a_decodable_participant_is_decoded(session: Session) -> None:
+    for name in ("open", "obstacles"):
+        counts = confusion(read(session.recording(name)))
+        assert counts.n == session.online[name]["moves"]
+        assert counts.accuracy is not None
+        assert counts.accuracy > 0.6  # 120 instead of 600 moves of calibration; chance is 0.5
+
+
+@pytest.mark.parametrize("name", ["calibration", "open", "obstacles"])
+def test_replay_is_exact(session: Session, cli, name: str) -> None:
+    result = printed(cli("replay", session.recording(name), "--json"))
+    counts = result["replay"]
+    told = session.calibration if name == "calibration" else session.online[name]
+    assert counts["verdicts"] == counts["verdicts_equal"] == told["moves"]
+    assert counts["actions"] == counts["actions_equal"] == told["actions"]
+
+
+def test_replay_sees_a_changed_sample(session: Session, cli, tmp_path: Path) -> None:
+    original = session.recording("open")
+    changed = tmp_path / original.name
+    contents = bytearray(original.read_bytes())
+    contents[len(contents) // 2] ^= 0x10
+    changed.write_bytes(contents)
+    changed.with_suffix(".json").write_text(original.with_suffix(".json").read_text(encoding="utf-8"), encoding="utf-8")
+    done = cli("replay", changed)
+    assert done.returncode == 2
+    assert "SHA-256" in done.stderr
+
+
+def test_verdicts_answer_the_truth_of_each_move_and_carry_their_samples(session: Session) -> None:
+    recording = read(session.recording("open"))
+    onsets = {(move.episode, move.step): stamp for stamp, move in recording.of(MoveOnset)}
+    assert set(truths(recording)) == set(onsets)
+    for _, verdict in recording.of(Verdict):
+        assert verdict.first_time is not None
+        last = verdict.first_time + (verdict.n_samples - 1) / 500
+        assert last == pytest.approx(onsets[verdict.episode, verdict.step] + 0.6, abs=0.003)
+
+
+def test_no_warning_was_needed(session: Session) -> None:
+    for name in ("calibration", "open", "obstacles"):
+        notes = [note for _, note in read(session.recording(name)).of(Note) if note.level != "info"]
+        assert notes == []
+
+
+def test_processes_are_four_and_meet_only_on_lsl(session: Session) -> None:
+    logs = session.recording("open").with_name(session.recording("open").name.replace("_eeg.xdf", "_logs"))
+    assert {path.stem for path in logs.glob("*.log")} == {"stimulus", "decoder", "policy", "amplifier"}
+
+
+def test_mne_reads_the_recording(session: Session) -> None:
+    import mne
+    import pyxdf
+
+    path = session.recording("open")
+    streams, _ = pyxdf.load_xdf(path)
+    eeg = next(stream for stream in streams if stream["info"]["type"][0] == "EEG")
+    labels = [channel["label"][0] for channel in eeg["info"]["desc"][0]["channels"][0]["channel"]]
+    info = mne.create_info(labels, float(eeg["info"]["nominal_srate"][0]), "eeg")
+    raw = mne.io.RawArray(eeg["time_series"].T * 1e-6, info, verbose="error")
+    raw.set_montage("colin27_1005")
+    markers = next(stream for stream in streams if stream["info"]["name"][0] == "bci-markers")
+    n_moves = int((np.asarray(markers["time_series"])[:, 0] <= 4).sum())
+    assert n_moves == session.online["open"]["moves"]
