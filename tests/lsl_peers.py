@@ -1,0 +1,111 @@
+"""Other people's programs, for tests: written against docs/protocol.md with pylsl and json, and nothing of ours."""
+
+import json
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pylsl
+
+LABELS = list(
+    "Fp1 Fp2 F7 F3 Fz F4 F8 FC5 FC1 FCz FC2 FC6 T7 C3 Cz C4 T8 CP5 CP1 CP2 CP6 P7 P3 Pz P4 P8 POz O1 Oz O2".split()  # noqa: SIM905
+)
+
+
+def until(condition: Callable[[], Any], seconds: float, what: str, between: Callable[[], None] = lambda: None) -> Any:
+    """Wait on a condition with a deadline; between two looks do `between`."""
+    deadline = time.monotonic() + seconds
+    while True:
+        result = condition()
+        if result:
+            return result
+        between()
+        assert time.monotonic() < deadline, f"waited {seconds} s in vain for {what}"
+
+
+class ForeignAmplifier:
+    """Noise on named channels, with a sample counter in the first: a lost or doubled sample shows."""
+
+    def __init__(
+        self,
+        name: str = "ForeignAmp",
+        labels: list[str] | None = None,
+        sfreq: float = 250.0,
+        unit: str | None = "microvolts",
+        delivered: float | None = None,
+        spoil: Callable[[np.ndarray], None] = lambda samples: None,
+    ) -> None:
+        self.labels = LABELS if labels is None else labels
+        info = pylsl.StreamInfo(name, "EEG", len(self.labels), sfreq, "float32", f"{name}-1")
+        channels = info.desc().append_child("channels")
+        for label in self.labels:
+            channel = channels.append_child("channel")
+            channel.append_child_value("label", label)
+            channel.append_child_value("type", "EEG")
+            if unit is not None:
+                channel.append_child_value("unit", unit)
+        self._outlet = pylsl.StreamOutlet(info)
+        self._rng = np.random.default_rng(1)
+        self._started = pylsl.local_clock()
+        self._sent = 0
+        self._rate = delivered or sfreq
+        self._spoil = spoil
+
+    def play(self) -> None:
+        """Send what is due by now, then let a hundredth of a second pass."""
+        due = int((pylsl.local_clock() - self._started) * self._rate)
+        if due > self._sent:
+            number = np.arange(self._sent, due)
+            samples = self._rng.normal(0, 10, (len(number), len(self.labels))).astype(np.float32)
+            samples[:, 0] = number % 1000
+            self._spoil(samples)
+            self._outlet.push_chunk(samples, (self._started + number / self._rate).tolist())
+            self._sent = due
+        time.sleep(0.01)
+
+
+class ForeignStimulus:
+    """The stimulus of docs/protocol.md in a page: streams, messages, and a walk along the first row."""
+
+    def __init__(self, session: str) -> None:
+        self.session = session
+        self._out = self._outlet("bci-stimulus", "Events")
+        self.truth = self._outlet("bci-truth", "Truth")
+        self._actions: pylsl.StreamInlet | None = None
+        self._verdicts: pylsl.StreamInlet | None = None
+
+    def _outlet(self, name: str, kind: str) -> pylsl.StreamOutlet:
+        info = pylsl.StreamInfo(name, kind, 1, 0.0, "string", f"bci-app/{self.session}/{name}")
+        return pylsl.StreamOutlet(info)
+
+    def say(self, kind: str, stamp: float | None = None, **fields: Any) -> None:
+        message = {"protocol": 1, "session": self.session, "type": kind, **fields}
+        self._out.push_sample([json.dumps(message)], pylsl.local_clock() if stamp is None else stamp)
+
+    def raw(self, text: str) -> None:
+        self._out.push_sample([text], pylsl.local_clock())
+
+    def listen(self, name: str) -> "Listener":
+        return Listener(name, self.session)
+
+
+class Listener:
+    """Hears one message stream and keeps what it heard."""
+
+    def __init__(self, name: str, session: str) -> None:
+        predicate = f"source_id='bci-app/{session}/{name}'"
+        found = until(lambda: pylsl.resolve_bypred(predicate, 1, 1.0), 30, f"stream {name}")
+        self._inlet = pylsl.StreamInlet(found[0])
+        self._inlet.open_stream(10)
+        self.heard: list[tuple[float, dict[str, Any]]] = []
+
+    def of(self, kind: str) -> list[dict[str, Any]]:
+        while True:
+            sample, stamp = self._inlet.pull_sample(0.0)
+            if sample is None:
+                return [message for _, message in self.heard if message["type"] == kind]
+            self.heard.append((stamp, json.loads(sample[0])))
+
+    def is_ready(self) -> bool:
+        return any(status["state"] in ("ready", "running") for status in self.of("Status"))

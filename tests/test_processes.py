@@ -1,0 +1,225 @@
+"""Each process alone, against programs that know only docs/protocol.md; and sessions whose set-up is wrong."""
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pylsl
+import pytest
+from lsl_peers import ForeignAmplifier, ForeignStimulus, Listener, until
+
+from bci_app.config import Config
+from bci_app.gridworld import load_map
+from bci_app.protocol import SessionEnd
+from bci_app.recording import read
+from bci_app.runs import read_sidecar
+from decoder import calibration, model
+from decoder.chain import design
+from policy.checkpoint import choose
+
+
+@contextmanager
+def process(*words: object) -> Iterator[subprocess.Popen[str]]:
+    """A bci-app process that is gone when the block ends."""
+    command = [sys.executable, "-m", "bci_app", *map(str, words)]
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        yield running
+    finally:
+        running.kill()
+        running.communicate()
+
+
+@pytest.fixture(scope="module")
+def any_decoder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A decoder for the foreign amplifier, fitted on noise: it answers, and its answers mean nothing."""
+    from lsl_peers import LABELS
+
+    rng = np.random.default_rng(0)
+    chain, settings = design(Config().chain, 250.0), Config().classifier
+    error = np.arange(80) % 2 == 0
+    fitted = calibration.calibrate(rng.normal(0, 3, (80, len(LABELS) * 15)), error, settings)
+    made = model.make_model(fitted, error, chain, settings, participant="NOISE", channels=LABELS, n_rejected=0)
+    path = tmp_path_factory.mktemp("model") / "noise_decoder.safetensors"
+    model.save(made, path)
+    return path
+
+
+def test_a_foreign_stimulus_works_with_our_decoder_and_policy_and_nobody_opens_the_truth(any_decoder: Path) -> None:
+    """Decoder and policy answer a program built on docs/protocol.md; neither ever subscribes to the truth."""
+    amplifier, stimulus = ForeignAmplifier(), ForeignStimulus("foreign")
+    policy_file = choose(0.75, load_map("open")).path
+    with (
+        process("decoder", "--session", "foreign", "--model", any_decoder) as decoder,
+        process("policy", "--session", "foreign", "--map", "open", "--policy", policy_file) as policy,
+    ):
+        verdicts, actions = stimulus.listen("bci-verdicts"), stimulus.listen("bci-actions")
+        until(lambda: verdicts.is_ready() and actions.is_ready(), 40, "decoder and policy", amplifier.play)
+        layout = ["." * 11] * 11
+        stimulus.say("SessionStart", task="online", participant="P", map="open", layout=layout, n_episodes=1, seed=0)
+        stimulus.raw("this is no message")
+        cell, nothing = [5, 5], [False] * 5
+        moves = {"north": (-1, 0), "south": (1, 0), "west": (0, -1), "east": (0, 1)}
+        stimulus.say("EpisodeStart", episode=0, position=cell, sensed=nothing, max_steps=3)
+        for step in (1, 2, 3):
+            action = until(
+                lambda step=step: [a for a in actions.of("Action") if a["step"] == step], 15, "action", amplifier.play
+            )[0]
+            dr, dc = moves[action["action"]]
+            cell = [cell[0] + dr, cell[1] + dc]
+            # Verdicts need half a second of samples after the onset; the marker may come before them.
+            stimulus.say("MoveOnset", episode=0, step=step, action=action["action"], position=cell, sensed=nothing)
+            heard = until(
+                lambda step=step: [v for v in verdicts.of("Verdict") if v["step"] == step],
+                15,
+                "verdict",
+                amplifier.play,
+            )
+            assert heard[0]["outcome"] in ("error", "correct"), heard
+        stimulus.say("EpisodeEnd", episode=0, steps=3, reason="limit")
+        assert not stimulus.truth.have_consumers()
+        listener = stimulus.listen("bci-truth")  # the check above can fail: this is what a consumer looks like
+        assert stimulus.truth.wait_for_consumers(5.0)
+        del listener
+        stimulus.say("SessionEnd", reason="complete")
+        until(lambda: decoder.poll() is not None and policy.poll() is not None, 15, "both to end", amplifier.play)
+        assert (decoder.returncode, policy.returncode) == (0, 0), decoder.communicate()[1]
+        assert len(actions.of("Action")) == 3  # none for a step after the limit
+        refusals = [note["text"] for listener in (verdicts, actions) for note in listener.of("Note")]
+        assert sum("Refused a sample on bci-stimulus" in text for text in refusals) == 2
+
+
+def test_four_processes_started_by_hand_run_a_session(tmp_path: Path) -> None:
+    """What the README says for several machines: no bci-app leads, nobody commands."""
+    config = tmp_path / "hand.toml"
+    config.write_text(
+        '[eeg]\nsource_id = "bci-app/hand/eeg"\n[stimulus]\nheadless = true\n'
+        "[calibration]\nn_blocks = 1\nmoves_per_block = 3\n",
+        encoding="utf-8",
+    )
+    common = ("--session", "hand", "--config", config)
+    with (
+        process("stimulus", *common, "--participant", "P1", "--task", "calibration") as stimulus,
+        process("decoder", *common) as decoder,
+        process("amplifier", *common) as amplifier,
+    ):
+        verdicts = Listener("bci-verdicts", "hand")
+        until(lambda: len(verdicts.of("Verdict")) == 3, 60, "three verdicts")
+        assert {verdict["outcome"] for verdict in verdicts.of("Verdict")} == {"unjudged"}
+        for running in (stimulus, decoder, amplifier):
+            assert running.wait(20) == 0
+
+
+def test_mne_lsl_reads_eeg_and_markers_while_the_session_runs(tmp_path: Path) -> None:
+    from mne_lsl.stream import StreamLSL
+
+    config = tmp_path / "mne.toml"
+    config.write_text(
+        '[eeg]\nsource_id = "bci-app/mne/eeg"\n[stimulus]\nheadless = true\n'
+        "[calibration]\nn_blocks = 1\nmoves_per_block = 30\n",
+        encoding="utf-8",
+    )
+    common = ("--session", "mne", "--config", config, "--speed", 4, "--origin", pylsl.local_clock())
+    with (
+        process("stimulus", *common, "--participant", "P1", "--task", "calibration"),
+        process("decoder", *common),
+        process("amplifier", *common),
+    ):
+        Listener("bci-markers", "mne")._inlet.close_stream()
+        eeg = StreamLSL(10, source_id="bci-app/mne/eeg").connect(timeout=20)
+        markers = StreamLSL(60, source_id="bci-app/mne/bci-markers").connect(timeout=20)
+        assert eeg.info["sfreq"] == 500
+        assert "FCz" in eeg.ch_names
+        until(lambda: eeg.n_new_samples > 500, 30, "EEG through mne-lsl")
+        assert np.isfinite(eeg.get_data(winsize=1)[0]).all()
+        until(lambda: markers.n_new_samples >= 3, 40, "markers through mne-lsl")
+        codes = markers.get_data()[0].astype(int).ravel()
+        assert set(codes[codes > 0].tolist()) <= {1, 2, 3, 4, 20, 21, 22, 23, 24, 100, 110}
+        eeg.disconnect()
+        markers.disconnect()
+
+
+def lab_config(folder: Path) -> Path:
+    path = folder / "lab.toml"
+    path.write_text(
+        f'recordings = "{(folder / "recordings").as_posix()}"\n[stimulus]\nheadless = true\n'
+        "[calibration]\nn_blocks = 1\nmoves_per_block = 40\n",
+        encoding="utf-8",
+    )
+    return path
+
+
+def spoil_one(samples: np.ndarray) -> None:
+    samples[:, 3] = np.nan
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (list, "No EEG stream"),
+        (lambda: [ForeignAmplifier("AmpA"), ForeignAmplifier("AmpB")], "2 EEG streams fit"),
+        (lambda: [ForeignAmplifier(unit=None)], "gives no unit"),
+        (lambda: [ForeignAmplifier(labels=["Cz", "Cz"])], "not unique"),
+        (lambda: [ForeignAmplifier(delivered=200.0)], "says 250 Hz but delivers 200"),
+        (lambda: [ForeignAmplifier(spoil=spoil_one)], "not numbers (NaN) in: F3"),
+    ],
+)
+def test_a_wrong_amplifier_is_refused_before_anything_starts(
+    tmp_path: Path, make: Callable[[], list[ForeignAmplifier]], says: str
+) -> None:
+    amplifiers = make()
+    words = ("calibrate", "--participant", "P1", "--config", lab_config(tmp_path), "--headless")
+    with process(*words) as running:
+        until(
+            lambda: running.poll() is not None, 60, "the refusal", lambda: [amp.play() for amp in amplifiers] and None
+        )
+        assert running.returncode == 2
+        _, said = running.communicate()
+        assert says in said
+        assert "Traceback" not in said
+
+
+def test_missing_channels_are_refused_and_reordered_ones_mended(tmp_path: Path, any_decoder: Path) -> None:
+    from lsl_peers import LABELS
+
+    missing = ForeignAmplifier("AmpC", labels=[label for label in LABELS if label != "FCz"])
+    with process("doctor", "--model", any_decoder, "--json") as running:
+        until(lambda: running.poll() is not None, 40, "doctor", missing.play)
+        assert running.returncode == 2
+        assert "missing: FCz" in running.communicate()[0]
+    del missing
+    shuffled = ForeignAmplifier("AmpD", labels=[label.upper() for label in reversed(LABELS)])
+    with process("doctor", "--model", any_decoder, "--json") as running:
+        until(lambda: running.poll() is not None, 40, "doctor", shuffled.play)
+        assert running.returncode == 0, running.communicate()
+        assert json.loads(running.communicate()[0])["fit"]
+
+
+@pytest.mark.parametrize("moment", ["while starting", "while running"])
+def test_ctrl_c_closes_the_recording(tmp_path: Path, moment: str) -> None:
+    config = lab_config(tmp_path)
+    words = ("calibrate", "--participant", "P1", "--config", config, "--simulate", "--speed", 5)
+    folder = tmp_path / "recordings" / "sub-P1" / "ses-S001" / "eeg"
+    sidecar = folder / "sub-P1_ses-S001_task-calibration_run-001_eeg.json"
+    awaited = "starting" if moment == "while starting" else "recording"
+    with process(*words) as running:
+        until(lambda: sidecar.exists() and json.loads(sidecar.read_text())["state"] == awaited, 60, awaited)
+        if moment == "while running":
+            path = folder / "sub-P1_ses-S001_task-calibration_run-001_eeg.xdf"
+            size = path.stat().st_size
+            until(lambda: path.stat().st_size > size + 3_000_000, 60, "some seconds of EEG")
+        running.send_signal(signal.SIGINT)
+        assert running.wait(60) == 130
+        assert "Traceback" not in running.communicate()[1]
+    told = read_sidecar(sidecar.with_suffix(".xdf"))
+    assert told["state"] == "closed"
+    if moment == "while running":
+        recording = read(sidecar.with_suffix(".xdf"))
+        assert not recording.damage
+        assert told["reason"] == "interrupted"
+        assert [end.reason for _, end in recording.of(SessionEnd)] == ["interrupted"]
