@@ -91,7 +91,7 @@ def calibrate(
     wishes = verbs.Wishes(settings, participant, visit, simulate, speed, seed, session, tuple(remote or ()))
     with _progress(as_json) as progress:
         outcome = verbs.calibrate(wishes, progress)
-    _finish(outcome, as_json, f"Next: bci-app fit {outcome['recording']}")
+    _finish_run(outcome, as_json, f"Next: bci-app fit {outcome['recording']}")
 
 
 @app.command(rich_help_panel="In the lab")
@@ -141,7 +141,7 @@ def online(
     wishes = verbs.Wishes(settings, participant, visit, simulate, speed, seed, session, tuple(remote or ()))
     with _progress(as_json) as progress:
         outcome = verbs.online(wishes, map_name, model, policy, below_gate, progress)
-    _finish(outcome, as_json, f"Next: bci-app replay {outcome['recording']}")
+    _finish_run(outcome, as_json, f"Next: bci-app replay {outcome['recording']}")
 
 
 @app.command(rich_help_panel="Afterwards")
@@ -224,6 +224,13 @@ def _overrides(
     }
     given = {key: value for key, value in simulation.items() if value is not None}
     return {"simulation": given} | ({"stimulus": {"headless": True}} if headless else {})
+
+
+def _finish_run(outcome: dict[str, Any], as_json: bool, hint: str) -> None:
+    complete = outcome["reason"] == "complete"
+    _finish(outcome, as_json, hint if complete else "")
+    if not complete:
+        raise typer.Exit(INTERRUPTED)
 
 
 def _finish(result: dict[str, Any], as_json: bool, hint: str = "") -> None:

@@ -30,7 +30,7 @@ def run(config: Config, speed: float, seed: int, progress: Progress) -> dict[str
         runs[name] = verbs.online(wish, name, Path(fitted["model"]), None, True, told)
     paths = [Path(calibrated["recording"]), *(Path(told["recording"]) for told in runs.values())]
     replays = [replaying.replay(path, None, None, False, _named(progress, "4/4 replay")) for path in paths]
-    summary = _summary(fitted, runs, replays, paths)
+    summary = _summary(fitted, runs, replays, paths, speed)
     _write(summary, Path(config.recordings), paths[0])
     return summary
 
@@ -42,7 +42,11 @@ def is_good(summary: dict[str, Any]) -> bool:
 
 
 def _summary(
-    fitted: dict[str, Any], runs: dict[str, dict[str, Any]], replays: list[dict[str, Any]], paths: list[Path]
+    fitted: dict[str, Any],
+    runs: dict[str, dict[str, Any]],
+    replays: list[dict[str, Any]],
+    paths: list[Path],
+    speed: float,
 ) -> dict[str, Any]:
     recordings = {name: read(Path(told["recording"])) for name, told in runs.items()}
     return {
@@ -50,7 +54,7 @@ def _summary(
         "model": fitted["model"],
         "policy": {name: told["policy"] for name, told in runs.items()},
         "online": {name: metrics.online([recording]) for name, recording in recordings.items()},
-        "latency": metrics.latencies(list(recordings.values())),
+        "latency": metrics.latencies(list(recordings.values()), speed),
         "replay": {key: sum(result["replay"][key] for result in replays) for key in replays[0]["replay"]},
         "differences": [text for result in replays for text in result["differences"]],
         "replay_seconds": [result["seconds"] for result in replays],

@@ -99,12 +99,21 @@ def online(recordings: Sequence[Recording]) -> dict[str, Any]:
     }
 
 
-def latencies(recordings: Sequence[Recording]) -> dict[str, float | None]:
-    """Median and 99th percentile in ms: last needed sample to verdict, and verdict to action (both as recorded)."""
+def latencies(recordings: Sequence[Recording], speed: float) -> dict[str, float | None]:
+    """Median and 99th percentile in real ms of what the loop adds to the EEG.
+
+    `verdict`: from the arrival of the last needed sample at the decoder to the push of the verdict, as the decoder
+    measured it. `action`: from the push of the verdict to the push of the action, by their stamps, so with LSL's way
+    between the two processes. `speed` is the session's.
+    """
     found: dict[str, list[float]] = {"verdict": [], "action": []}
     for recording in recordings:
         found["verdict"] += [v.latency_ms for _, v in recording.of(Verdict) if v.latency_ms is not None]
-        found["action"] += [a.latency_ms for _, a in recording.of(Action) if a.latency_ms is not None and a.step > 1]
+        pushed = {(verdict.episode, verdict.step): stamp for stamp, verdict in recording.of(Verdict)}
+        for stamp, action in recording.of(Action):
+            verdict_at = pushed.get((action.episode, action.step - 1))
+            if verdict_at is not None:
+                found["action"].append((stamp - verdict_at) / speed * 1e3)
     return {
         f"{name}_p{percent}_ms": float(np.percentile(values, percent)) if values else None
         for name, values in found.items()

@@ -48,7 +48,8 @@ class Peer:
 
     def say(self, state: State, text: str = "") -> None:
         """Tell the others how this process is doing; repeated once a second."""
-        if self._parent is not None and os.getppid() != self._parent:
+        # On Windows a virtual environment's python.exe is itself a parent in between, so this can't be told there.
+        if self._parent is not None and os.name == "posix" and os.getppid() != self._parent:
             raise LinkLost("The program that started this process is gone; nothing is left to do here.")
         now = local_clock()
         if (state, text) != self._said or now - self._said_at >= HEARTBEAT_S:

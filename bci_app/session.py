@@ -48,6 +48,8 @@ log = logging.getLogger(__name__)
 
 READY_TIMEOUT_S = 90.0
 """Real seconds all processes may take to be ready (the slowest loads torch)."""
+GROW_TIMEOUT_S = 10.0
+"""Real seconds after which a file that doesn't grow is not being written."""
 TAIL_S = 1.5
 """Real seconds between the last message and closing the file: LabRecorder writes in batches of half a second."""
 STREAM_OF: dict[Role, StreamSpec] = {
@@ -117,8 +119,6 @@ def conduct(plan: Plan, progress: Progress) -> Outcome:
     clock = session_clock(plan.speed)
     session = plan.session or f"{plan.run.stem.name}-{secrets.token_hex(3)}"
     config = _for_session(plan, session)
-    if not plan.simulate:
-        describe(find_eeg(config.eeg, timeout=5.0)).check()
     conductor = _Conductor(plan, config, session, clock, progress)
     try:
         conductor.prepare()
@@ -208,15 +208,17 @@ class _Conductor:
         # The amplifier only plays; it has nothing to wait for but the stimulus's truth.
         return all(role in self.states and self.states[role].state == "ready" for role in self.plan.roles)
 
-    def _await(self, condition: Callable[[], bool], act: Callable[[], None], what: str) -> None:
+    def _await(
+        self, condition: Callable[[], bool], act: Callable[[], None], what: str, timeout: float = READY_TIMEOUT_S
+    ) -> None:
         started = local_clock()
         while not condition():
             self.progress(f"waiting for {what}", 0, 1)
             act()
             self._listen(timeout=0.02)
             self.crew.check()
-            if local_clock() - started > READY_TIMEOUT_S:
-                raise LinkLost(f"Waited {READY_TIMEOUT_S:g} s in vain for {what}: {self._whereabouts()}")
+            if local_clock() - started > timeout:
+                raise LinkLost(f"Waited {timeout:g} s in vain for {what}: {self._whereabouts()}")
 
     def _whereabouts(self) -> str:
         parts = []
@@ -234,7 +236,8 @@ class _Conductor:
         streams.append({"name": eeg.name, "type": self.config.eeg.stream_type, "source_id": eeg.source_id})
         self.recorder = Recorder(self.plan.run.xdf, streams)
         size = self.recorder.size()
-        self._await(lambda: self.recorder is not None and self.recorder.size() > size, lambda: None, "file to grow")
+        recorder = self.recorder
+        self._await(lambda: recorder.size() > size, lambda: None, f"{self.plan.run.xdf} to grow", GROW_TIMEOUT_S)
         self._save_sidecar(state="recording", eeg={"name": eeg.name, "sfreq": eeg.sfreq, "channels": eeg.channels})
 
     # While it runs.
@@ -251,7 +254,7 @@ class _Conductor:
                 raise LinkLost(f"LabRecorder died; {self.plan.run.xdf} holds what it had written until then.")
             self._report()
         if self.end.reason == "complete":
-            self._await(lambda: self.verdicts.total() >= self.moves, lambda: None, "the last verdict")
+            self._await(lambda: self.verdicts.total() >= self.moves, lambda: None, "the last verdict", END_TIMEOUT_S)
 
     def _listen(self, timeout: float) -> None:
         for number, inlet in enumerate(self.inlets.values()):

@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from bci_app.config import Config
+from bci_app.eeg import EegDescription
 from bci_app.errors import SetupError
 from bci_app.gridworld import GridWorld, load_map
+from bci_app.lsl import describe, find_eeg
 from bci_app.progress import Progress
 from bci_app.protocol import Role
 from bci_app.runs import check_label, new_run
@@ -45,6 +47,8 @@ def calibrate(wishes: Wishes, progress: Progress) -> dict[str, Any]:
     """Conduct a calibration; its outcome with the recording's path."""
     _check(wishes)
     load_map(wishes.config.calibration.map)
+    if not wishes.simulate:
+        _look_at_eeg(wishes.config)
     plan = _plan(wishes, "calibration", wishes.config.calibration.map)
     return _told(conduct(plan, progress))
 
@@ -63,7 +67,7 @@ def online(
     """
     _check(wishes)
     world = load_map(map_name)
-    from decoder.model import load
+    from decoder.model import fit_stream, load
 
     path = model_path or newest_model(Path(wishes.config.recordings), wishes.participant)
     model = load(path)
@@ -76,11 +80,21 @@ def online(
             "`--policy none`, or run with them all the same by --below-gate."
         )
     card = _policy_card(policy, accuracy, world)
+    if not wishes.simulate:
+        eeg = _look_at_eeg(wishes.config)
+        fit_stream(model, eeg.name, eeg.picked, eeg.sfreq)
     return _told(conduct(_plan(wishes, "online", map_name, path, card.path), progress)) | {
         "policy": card.name,
         "model": str(path),
         "cross_validated_accuracy": accuracy,
     }
+
+
+def _look_at_eeg(config: Config) -> EegDescription:
+    """The lab's EEG stream, before anything is started or written: there, only once, with labels and units."""
+    eeg = describe(find_eeg(config.eeg, timeout=5.0))
+    eeg.check()
+    return eeg
 
 
 def newest_model(folder: Path, participant: str) -> Path:
