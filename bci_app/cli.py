@@ -182,7 +182,7 @@ def doctor(
 
 @app.command(rich_help_panel="Afterwards")
 def demo(
-    speed: SpeedOption = 20.0,
+    speed: SpeedOption = 24.0,
     seed: Annotated[int, typer.Option("--seed", help="Seed of participant and runs.")] = 1,
     decodability: DecodabilityOption = None,
     background: BackgroundOption = None,

@@ -94,7 +94,7 @@ def latency(campaign: Campaign, table: Table) -> None:
     words = [*campaign.words(0.75, 1, speed=1.0), "--map", "open", "--seed", 7, "--below-gate", "--simulate"]
     run = campaign.once("latency", "online", *words)
     recording = read(Path(run["recording"]))
-    found = metrics.latencies([recording])
+    found = metrics.latencies([recording], speed=1.0)
     table.add_row("moves at speed 1", str(run["moves"]))
     for name, value in found.items():
         table.add_row(name, f"{value:.2f}")

@@ -5,7 +5,7 @@ same to the bit however the samples were chunked, whenever the marker came, and 
 """
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Generic, TypeVar
 
@@ -47,7 +47,8 @@ class Epoch:
 
     Attributes
     ----------
-    data : float64, (n_raw, n_channels), uV, C-contiguous; row ``n_before`` is the sample nearest to the onset.
+    data : float64, (n_raw, n_channels), uV, C-contiguous; row ``n_before`` is the sample nearest to the onset. From a
+        float64 recording it is a view of it: 2000 epochs of an hour don't fill the memory.
     first_time, last_time : float, raw stamps of the first and last sample, s.
     """
 
@@ -161,8 +162,8 @@ def _checked(samples: NDArray[np.floating], times: Array, shape: Shape) -> Epoch
     if gap is not None:
         place = (gap[0] - shape.n_before) / shape.sfreq
         return Rejection(f"gap: {gap[1]:+.1f} samples {place:+.3f} s from the onset")
-    data = np.array(samples, dtype=np.float64, order="C", copy=True)
-    largest = float(np.abs(data).max())
+    data = np.ascontiguousarray(samples, dtype=np.float64)
+    largest = float(np.maximum(data.max(), -data.min()))
     if not np.isfinite(largest):
         return Rejection("samples that are not finite numbers")
     if largest > shape.max_uv:
@@ -280,4 +281,6 @@ class EpochBuffer(Generic[Key]):
             result = locate(segments, onset, self._shape)
             if result is not None:
                 del self._waiting[key]
-                self._finished.append((key, result))
+                # A copy: the buffer's rows are going to be used again.
+                kept = replace(result, data=result.data.copy()) if isinstance(result, Epoch) else result
+                self._finished.append((key, kept))

@@ -47,9 +47,9 @@ def features(epoch: NDArray[np.floating], operator: Array) -> Array:
 
     Notes
     -----
-    Always one epoch at a time, copied into the same layout, so that the same samples give the same bits whoever asks.
+    Always one epoch at a time, in the same layout, so that the same samples give the same bits whoever asks.
     """
-    data = np.array(epoch, dtype=np.float64, order="C", copy=True)
+    data = np.ascontiguousarray(epoch, dtype=np.float64)
     rows = max(1, _MAX_PRODUCT // (data.shape[1] * operator.shape[1]))
     means = np.zeros((data.shape[1], operator.shape[1]))
     for start in range(0, len(data), rows):

@@ -1,5 +1,10 @@
 """The reference chain, and that one matrix is the same chain."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import mne
 import numpy as np
 import pytest
@@ -11,6 +16,7 @@ from bci_app.errors import SetupError
 from decoder.chain import design, reference_features
 from decoder.operator import chain_operator, digest, features
 
+ROOT = Path(__file__).parents[1]
 RATES = (128, 160, 250, 256, 300, 500, 512, 1000)
 
 
@@ -104,6 +110,34 @@ def test_a_features_bits_dont_depend_on_type_or_layout() -> None:
         for variant in (epoch, epoch.astype(np.float64), np.asfortranarray(epoch), np.repeat(epoch, 2, axis=0)[::2])
     }
     assert len(fingerprints) == 1
+
+
+@pytest.mark.parametrize("n_channels", [2, 31, 64, 129])
+def test_a_features_bits_dont_depend_on_where_the_samples_lie_in_memory(n_channels: int) -> None:
+    operator = np.random.default_rng(6).normal(size=(1000, 15))
+    memory = np.empty(1000 * n_channels + 16)
+    epoch = np.random.default_rng(7).normal(0, 10, (1000, n_channels))
+    fingerprints = set()
+    for shift in range(16):
+        moved = memory[shift : shift + epoch.size].reshape(epoch.shape)
+        moved[:] = epoch
+        fingerprints.add(digest(features(moved, operator)))
+    assert len(fingerprints) == 1
+
+
+def test_a_features_bits_dont_depend_on_the_number_of_threads() -> None:
+    """Replays run on other machines' settings than sessions."""
+    script = (
+        "import numpy as np; from decoder.operator import digest, features; r = np.random.default_rng(0);"
+        "print([digest(features(r.normal(size=(2000, n)), r.normal(size=(2000, 15)))) for n in (8, 31, 64, 128)])"
+    )
+    outputs = set()
+    for n_threads in ("1", "2"):
+        environment = {**os.environ, "OPENBLAS_NUM_THREADS": n_threads, "OMP_NUM_THREADS": n_threads}
+        result = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, cwd=ROOT)
+        assert result.returncode == 0, result.stderr.decode()
+        outputs.add(result.stdout)
+    assert len(outputs) == 1
 
 
 def test_features_come_channel_by_channel() -> None:
