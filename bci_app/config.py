@@ -48,7 +48,9 @@ class CalibrationConfig(Section):
     error_probability: Annotated[float, Field(gt=0, lt=1)] = 0.3
     """Probability that the calibrating agent moves away from the goal (decided; the paper doesn't say)."""
     break_s: Seconds = 10.0
-    """Shortest break between blocks; with a window the person then starts the next block by a key."""
+    """Shortest break between blocks."""
+    wait_for_key: bool = True
+    """After the break wait for the person's key, where there is a window and a person."""
 
 
 class OnlineConfig(Section):

@@ -46,7 +46,8 @@ class Crew:
     def _failure(self, role: Role, code: int) -> Exception:
         path = self._logs / f"{role}.log"
         lines = path.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-        last = lines[-1].removeprefix("Error: ") if lines else "it said nothing"
+        said = [line.removeprefix("Error: ") for line in lines if line.startswith("Error: ")] or lines
+        last = said[-1] if said else "it said nothing"
         if code == SetupError.exit_code:
             return SetupError(last)
         return LinkLost(f"The {role} process ended with code {code}: {last} (log: {path}).")

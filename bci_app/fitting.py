@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bci_app.config import Config
 from bci_app.errors import SetupError
@@ -12,12 +13,12 @@ from bci_app.metrics import truths
 from bci_app.moves import Move, cut_moves
 from bci_app.progress import Progress
 from bci_app.protocol import SessionStart
-from bci_app.recording import read
+from bci_app.recording import Recording, read
 from bci_app.runs import checksum, read_sidecar
 from decoder import calibration, model
 from decoder.chain import design
 from decoder.epochs import Epoch, Rejection
-from decoder.judge import judge_without
+from decoder.judge import Judge, judge_without
 
 
 def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> dict[str, Any]:
@@ -35,11 +36,7 @@ def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> d
     progress("cutting epochs", 1, 3)
     judge = judge_without(config, recording.eeg, opening[0][1].session)
     moves = cut_moves(recording, judge.shape)
-    known = truths(recording)
-    usable = [(move, known[move.episode, move.step]) for move in moves if (move.episode, move.step) in known]
-    valid = [(move.result, error) for move, error in usable if isinstance(move.result, Epoch)]
-    features = np.array([judge.features(epoch) for epoch, _ in valid])
-    error = np.array([is_error for _, is_error in valid], dtype=bool)
+    features, error = _labelled(recording, judge, moves)
     progress("cross-validating", 2, 3)
     result = calibration.calibrate(features, error, config.classifier)
     fitted = model.make_model(
@@ -49,13 +46,29 @@ def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> d
         config.classifier,
         participant=opening[0][1].participant,
         channels=recording.eeg.picked,
-        n_rejected=len(moves) - len(valid),
+        n_rejected=len(moves) - len(error),
         created=str(read_sidecar(path).get("sha256") or checksum(path)),
     )
     target = _free_name(path)
     model.save(fitted, target)
     progress("done", 3, 3)
-    return {"calibration": _figures(result, moves, len(valid)), "model": str(target)}
+    return {"calibration": _figures(result, moves, len(error)), "model": str(target)}
+
+
+def labelled_features(recording: Recording, config: Config) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Features (n_valid, n_features), uV, of a recording's valid epochs, and whether each move was an error."""
+    judge = judge_without(config, recording.eeg, "")
+    return _labelled(recording, judge, cut_moves(recording, judge.shape))
+
+
+def _labelled(recording: Recording, judge: Judge, moves: list[Move]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    known = truths(recording)
+    valid = [
+        (judge.features(move.result), known[move.episode, move.step])
+        for move in moves
+        if isinstance(move.result, Epoch) and (move.episode, move.step) in known
+    ]
+    return np.array([row for row, _ in valid]), np.array([error for _, error in valid], dtype=bool)
 
 
 def _figures(result: calibration.Calibration, moves: list[Move], n_valid: int) -> dict[str, Any]:

@@ -138,7 +138,7 @@ class MessageInlet:
 
 
 class EegInlet:
-    """Receives an amplifier's samples with their raw stamps."""
+    """Receives an amplifier's samples with their raw stamps; survives a restart of the amplifier's connector."""
 
     def __init__(self, info: pylsl.StreamInfo, buffer_s: float) -> None:
         self._inlet = pylsl.StreamInlet(info, max_buflen=round(buffer_s), recover=True)
@@ -154,6 +154,17 @@ class EegInlet:
         samples, stamps = self._inlet.pull_chunk(timeout=timeout, max_samples=4096, min_samples=1, as_numpy=True)
         return self.description.in_microvolts(samples), np.array(stamps)
 
+    def check_unchanged(self) -> None:
+        """After an interruption: LSL reconnects to whatever has the source id; raise SetupError if it has changed."""
+        same = f"name={_quoted(self.description.name)} and source_id={_quoted(self.description.source_id)}"
+        found = pylsl.resolve_bypred(same, 1, OPEN_TIMEOUT_S)
+        now = describe(found[0]) if found else None
+        if now != self.description:
+            raise SetupError(
+                f"Stream '{self.description.name}' came back changed: expected {self.description}, found {now}. "
+                "Restore the amplifier's settings and start the run again; what was recorded is kept."
+            )
+
     def clock_correction(self) -> float:
         """Seconds to add to the amplifier's stamps to put them on this machine's clock."""
         return _correction(self._inlet, self.description.name)
@@ -165,7 +176,7 @@ def find_eeg(config: EegConfig, timeout: float) -> pylsl.StreamInfo:
     Raises SetupError when there is none within `timeout` real seconds, or more than one.
     """
     wanted = {"type": config.stream_type, "name": config.stream_name, "source_id": config.source_id}
-    predicate = " and ".join(f"{key}='{value}'" for key, value in wanted.items() if value is not None)
+    predicate = " and ".join(f"{key}={_quoted(value)}" for key, value in wanted.items() if value is not None)
     started = local_clock()
     found: list[Any] = []
     while not found and local_clock() - started < timeout:
@@ -221,6 +232,11 @@ def _describe(inlet: pylsl.StreamInlet, name: str) -> EegDescription:
         types=_filled(info.get_channel_types(), n_channels),
         sfreq=info.nominal_srate(),
     )
+
+
+def _quoted(value: str) -> str:
+    """A string in LSL's query language (XPath 1.0), which has no escapes."""
+    return f'"{value}"' if "'" in value else f"'{value}'"
 
 
 def _filled(values: Sequence[str | None] | None, n_channels: int) -> tuple[str, ...]:

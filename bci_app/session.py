@@ -7,7 +7,6 @@ begin and when to stop.
 import logging
 import secrets
 import signal
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from os import getpid
@@ -18,6 +17,7 @@ from bci_app.clock import Clock
 from bci_app.config import Config
 from bci_app.crew import END_TIMEOUT_S, Crew
 from bci_app.errors import LinkLost, SetupError
+from bci_app.heard import Heard, Outcome
 from bci_app.lsl import MessageInlet, describe, find_eeg, local_clock, session_clock
 from bci_app.peer import Peer
 from bci_app.progress import Progress
@@ -29,17 +29,9 @@ from bci_app.protocol import (
     STIMULUS,
     TRUTH,
     VERDICTS,
-    Action,
     Command,
-    EpisodeEnd,
-    MoveOnset,
-    Note,
     Role,
-    SessionEnd,
-    SessionStart,
-    Status,
     StreamSpec,
-    Verdict,
 )
 from bci_app.recorder import Recorder
 from bci_app.runs import Run, checksum, versions, write_sidecar
@@ -97,19 +89,6 @@ class Plan:
         return tuple(roles)
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """How a run went, by what was heard while it ran."""
-
-    recording: Path
-    reason: Literal["complete", "interrupted", "failed"]
-    text: str
-    moves: int
-    verdicts: dict[str, int]
-    actions: int
-    notes: tuple[str, ...]
-
-
 def conduct(plan: Plan, progress: Progress) -> Outcome:
     """Conduct a run from start to closed and verified recording.
 
@@ -138,7 +117,8 @@ def _for_session(plan: Plan, session: str) -> Config:
     if not plan.simulate:
         return plan.config
     eeg = plan.config.eeg.model_copy(update={"stream_name": None, "source_id": simulated_source_id(session)})
-    return plan.config.model_copy(update={"eeg": eeg})
+    calibration = plan.config.calibration.model_copy(update={"wait_for_key": False})
+    return plan.config.model_copy(update={"eeg": eeg, "calibration": calibration})
 
 
 def simulated_source_id(session: str) -> str:
@@ -158,15 +138,8 @@ class _Conductor:
         self.peer = Peer(SESSION, "session", session, clock)
         self.crew = Crew(plan.run.logs)
         self.inlets: dict[Role, MessageInlet] = {}
-        self.states: dict[str, Status] = {}
+        self.heard = Heard(plan.roles)
         self.recorder: Recorder | None = None
-        self.start: SessionStart | None = None
-        self.end: SessionEnd | None = None
-        self.moves = 0
-        self.episodes = 0
-        self.actions = 0
-        self.verdicts: Counter[str] = Counter()
-        self.notes: list[str] = []
         self.sidecar: dict[str, Any] = {}
 
     # Before the first move.
@@ -178,7 +151,7 @@ class _Conductor:
             if role not in self.plan.remote:
                 self.crew.start(role, self._arguments(role))
         self._await(lambda: len(self.inlets) == len(self.plan.roles), self._connect, "processes to appear")
-        self._await(self._all_ready, lambda: None, "processes to be ready")
+        self._await(self.heard.all_ready, lambda: None, "processes to be ready")
         self._record()
 
     def _arguments(self, role: Role) -> list[str]:
@@ -204,10 +177,6 @@ class _Conductor:
                 if inlet is not None:
                     self.inlets[role] = inlet
 
-    def _all_ready(self) -> bool:
-        # The amplifier only plays; it has nothing to wait for but the stimulus's truth.
-        return all(role in self.states and self.states[role].state == "ready" for role in self.plan.roles)
-
     def _await(
         self, condition: Callable[[], bool], act: Callable[[], None], what: str, timeout: float = READY_TIMEOUT_S
     ) -> None:
@@ -218,14 +187,7 @@ class _Conductor:
             self._listen(timeout=0.02)
             self.crew.check()
             if local_clock() - started > timeout:
-                raise LinkLost(f"Waited {timeout:g} s in vain for {what}: {self._whereabouts()}")
-
-    def _whereabouts(self) -> str:
-        parts = []
-        for role in self.plan.roles:
-            status = self.states.get(role)
-            parts.append(f"{role} {status.state} {status.text}".strip() if status else f"{role} not heard of")
-        return "; ".join(parts) + "."
+                raise LinkLost(f"Waited {timeout:g} s in vain for {what}: {self.heard.whereabouts()}")
 
     def _record(self) -> None:
         eeg = describe(find_eeg(self.config.eeg, timeout=5.0))
@@ -244,47 +206,22 @@ class _Conductor:
 
     def watch(self) -> None:
         """Tell the stimulus to begin, then follow until its last message."""
-        while self.end is None:
-            if self.start is None:
+        while self.heard.end is None:
+            if self.heard.start is None:
                 self.peer.push(Command(session=self.session, command="start"))
             self.peer.say("running")
             self._listen(timeout=0.1)
             self.crew.check()
             if self.recorder is None or not self.recorder.alive:
                 raise LinkLost(f"LabRecorder died; {self.plan.run.xdf} holds what it had written until then.")
-            self._report()
-        if self.end.reason == "complete":
-            self._await(lambda: self.verdicts.total() >= self.moves, lambda: None, "the last verdict", END_TIMEOUT_S)
+            self.progress(*self.heard.progress())
+        if self.heard.end.reason == "complete":
+            self._await(self.heard.all_judged, lambda: None, "the last verdict", END_TIMEOUT_S)
 
     def _listen(self, timeout: float) -> None:
         for number, inlet in enumerate(self.inlets.values()):
             for item in self.peer.hear(inlet, timeout if number == len(self.inlets) - 1 else 0.0):
-                match item.message:
-                    case Status() as status:
-                        self.states[status.role] = status
-                    case Note(level="warning" | "error") as note:
-                        self.notes.append(f"{note.role}: {note.text}")
-                    case SessionStart() as start:
-                        self.start = start
-                    case MoveOnset():
-                        self.moves += 1
-                    case EpisodeEnd():
-                        self.episodes += 1
-                    case Verdict() as verdict:
-                        self.verdicts[verdict.outcome] += 1
-                    case Action():
-                        self.actions += 1
-                    case SessionEnd() as end:
-                        self.end = end
-
-    def _report(self) -> None:
-        if self.start is None:
-            return
-        status = self.states.get("stimulus")
-        if self.start.n_moves:
-            self.progress("calibration", self.moves, self.start.n_moves)
-        elif self.start.n_episodes:
-            self.progress(f"online, {status.text if status else ''}", self.episodes, self.start.n_episodes)
+                self.heard.take(item.message)
 
     # However it ends.
 
@@ -294,14 +231,14 @@ class _Conductor:
 
     def fail(self, text: str) -> None:
         """Something is lost: say it in the record, and stop the stimulus if it still listens."""
-        self.notes.append(text)
+        self.heard.notes.append(text)
         self.peer.note("error", text)
         self._stop_stimulus(text)
 
     def _stop_stimulus(self, text: str) -> None:
         self.progress(text, 0, 1)
         started = local_clock()
-        while self.start is not None and self.end is None and local_clock() - started < END_TIMEOUT_S:
+        while self.heard.start is not None and self.heard.end is None and local_clock() - started < END_TIMEOUT_S:
             self.peer.push(Command(session=self.session, command="stop"))
             self._listen(timeout=0.1)
             if "stimulus" in self.crew.ended():
@@ -329,16 +266,7 @@ class _Conductor:
 
     def outcome(self) -> Outcome:
         """How the run went, by what was heard."""
-        end = self.end or SessionEnd(session=self.session, reason="failed", text="The stimulus never said it ended.")
-        return Outcome(
-            recording=self.plan.run.xdf,
-            reason=end.reason,
-            text=end.text,
-            moves=self.moves,
-            verdicts=dict(self.verdicts),
-            actions=self.actions,
-            notes=tuple(self.notes),
-        )
+        return self.heard.outcome(self.plan.run.xdf)
 
     def _save_sidecar(self, **news: Any) -> None:
         """The sidecar is there from the start, so that even a run that dies tells what it was."""

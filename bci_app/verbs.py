@@ -9,11 +9,15 @@ from bci_app.config import Config
 from bci_app.eeg import EegDescription
 from bci_app.errors import SetupError
 from bci_app.gridworld import GridWorld, load_map
+from bci_app.heard import Outcome
 from bci_app.lsl import describe, find_eeg
 from bci_app.progress import Progress
 from bci_app.protocol import Role
 from bci_app.runs import check_label, new_run
-from bci_app.session import Outcome, Plan, Task, conduct
+from bci_app.session import Plan, Task, conduct
+
+MAX_SPEED = 100.0
+"""Session seconds a real second beyond which no computer keeps up: a move would take 30 ms (decided)."""
 
 if TYPE_CHECKING:
     from policy.checkpoint import PolicyCard
@@ -138,8 +142,8 @@ def _check(wishes: Wishes) -> None:
     check_label(wishes.visit, "--visit")
     if wishes.speed != 1.0 and not wishes.simulate:
         raise SetupError(f"--speed {wishes.speed:g} needs --simulate: people and amplifiers run at speed 1.")
-    if wishes.speed <= 0:
-        raise SetupError(f"--speed must be above 0, found {wishes.speed:g}.")
+    if not 0 < wishes.speed <= MAX_SPEED:
+        raise SetupError(f"--speed must be above 0 and at most {MAX_SPEED:g}, found {wishes.speed:g}.")
     unknown = sorted(set(wishes.remote) - set(get_args(Role)))
     if unknown:
         raise SetupError(f"--remote takes one of {', '.join(get_args(Role))}; found {', '.join(unknown)}.")

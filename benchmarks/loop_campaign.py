@@ -3,7 +3,7 @@
 Every run goes through the real processes over LSL. Results are appended to a JSON-lines file, so that an interrupted
 campaign continues where it stopped.
 
-    python benchmarks/loop_campaign.py decodability online latency --out campaign.jsonl
+    python benchmarks/loop_campaign.py decodability online controls latency --out campaign.jsonl
 """
 
 import argparse
@@ -18,7 +18,10 @@ from rich.console import Console
 from rich.table import Table
 
 from bci_app import metrics
+from bci_app.config import Config
+from bci_app.fitting import labelled_features
 from bci_app.recording import read
+from decoder.calibration import calibrate, permuted_accuracies
 
 SEEDS = (1, 2, 3, 4, 5)
 MAPS = ("open", "obstacles")
@@ -51,7 +54,8 @@ class Campaign:
         name = f"d{decodability:.2f} s{seed}"
         words = self.words(decodability, seed)
         calibrated = self.once(f"calibrate {name}", "calibrate", *words, "--seed", seed, "--simulate")
-        return self.once(f"fit {name}", "fit", calibrated["recording"])
+        fit = self.once(f"fit {name}", "fit", calibrated["recording"])
+        return {**fit, "recording": calibrated["recording"]}
 
     def online(self, decodability: float, seed: int, map_name: str, control: bool) -> dict[str, Any]:
         """An online run of 19 episodes; `control` switches the participant's ErrP off, so verdicts are coin flips."""
@@ -88,6 +92,23 @@ def online(campaign: Campaign, table: Table) -> None:
             table.add_row(f"{map_name}, 0.75, {'ErrP off' if control else 'ErrP on'}, {len(told)} seeds", text)
 
 
+def controls(campaign: Campaign, table: Table) -> None:
+    """What must be at chance: permuted labels, and the 450 ms before the move, on a well decodable participant."""
+    path = Path(campaign.fitted(0.90, 1)["recording"])
+    settings = Config()
+    recording = read(path)
+    features, error = labelled_features(recording, settings)
+    chance = permuted_accuracies(features, error, settings.classifier, 20, np.random.default_rng(0))
+    low, high = np.percentile(chance, (2.5, 97.5))
+    text = f"{chance.mean():.3f} [{low:.3f}, {high:.3f}] over 20 permutations"
+    table.add_row("CV balanced accuracy, labels permuted", text)
+    before = settings.model_copy(update={"chain": settings.chain.model_copy(update={"start_ms": -450.0})})
+    scores = calibrate(*labelled_features(recording, before), settings.classifier)
+    for name, found in (("tenfold", scores.tenfold), ("contiguous", scores.blocked)):
+        value = found.balanced_accuracy
+        table.add_row(f"450 ms before the move, {name} folds", f"{value.value:.3f} [{value.low:.3f}, {value.high:.3f}]")
+
+
 def latency(campaign: Campaign, table: Table) -> None:
     """At speed 1, over a whole online run."""
     campaign.fitted(0.75, 1)
@@ -103,7 +124,7 @@ def latency(campaign: Campaign, table: Table) -> None:
 def main() -> None:
     """Run the parts named on the command line and print one table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parts = {"decodability": decodability, "online": online, "latency": latency}
+    parts = {"decodability": decodability, "online": online, "controls": controls, "latency": latency}
     parser.add_argument("parts", nargs="*", choices=[*parts, []], default=list(parts))
     parser.add_argument("--out", type=Path, default=Path("recordings/campaign.jsonl"))
     parser.add_argument("--speed", type=float, default=20.0)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from bci_app.clock import Clock
 from bci_app.config import Config
-from bci_app.errors import SetupError
+from bci_app.errors import LinkLost, SetupError
 from bci_app.lsl import EegInlet, MessageInlet, find_eeg, local_clock
 from bci_app.peer import Peer
 from bci_app.protocol import STIMULUS, VERDICTS, MoveOnset, SessionEnd
@@ -19,7 +19,9 @@ from decoder.timeline import check_rate, measured_rate
 POLL_S = 0.005
 """Longest real time a round waits for a sample before it looks for onsets again."""
 SILENCE_S = 1.0
-"""Real seconds without a sample after which the EEG counts as silent (decided)."""
+"""Real seconds without a sample after which the EEG counts as silent: moves are rejected (decided)."""
+LOST_S = 10.0
+"""Real seconds of silence after which the run can't go on (decided)."""
 LOOK_S = 3.0
 """Session seconds of EEG looked at before the decoder calls itself ready."""
 RATE_S = 10.0
@@ -126,13 +128,16 @@ class _Server:
         now = local_clock()
         if n_new:
             if self._silent:
-                self._peer.note("info", "The EEG is back.")
-            self._last_sample, self._silent = now, False
+                self._peer.note("info", f"The EEG is back after {now - self._last_sample:.1f} s.")
+                self._eeg.check_unchanged()
+            self._last_sample, self._silent = local_clock(), False
         elif not self._silent and now - self._last_sample > SILENCE_S:
             self._silent = True
             self._peer.note("error", f"No EEG sample for {SILENCE_S:g} s.")
         if self._silent:
             self._buffer.abandon("the EEG stream is silent")
+        if now - self._last_sample > LOST_S:
+            raise LinkLost(f"No EEG sample for {LOST_S:g} s. Look at the amplifier; what was recorded is kept.")
 
     def _check_rate(self, times: NDArray[np.float64]) -> None:
         self._rate_times = np.concatenate((self._rate_times, times))
@@ -141,6 +146,9 @@ class _Server:
             return
         rate, self._rate_times = measured_rate(self._rate_times), np.empty(0)
         is_off = not abs(rate / sfreq - 1) <= self._config.eeg.rate_tolerance
-        if is_off and not self._rate_is_off:
-            self._peer.note("error", f"The EEG's rate is now {rate:.1f} Hz instead of {sfreq:g} Hz.")
+        sentence = f"Stream '{self._eeg.description.name}' drifted from {sfreq:g} Hz to {rate:.1f} Hz."
+        if is_off and self._rate_is_off:
+            raise SetupError(f"{sentence} Check the amplifier's rate and connection; what was recorded is kept.")
+        if is_off:
+            self._peer.note("error", sentence)
         self._rate_is_off = is_off

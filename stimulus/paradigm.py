@@ -25,32 +25,11 @@ from bci_app.protocol import (
     SessionEnd,
 )
 from stimulus.episodes import Plan, Walk, calibration_plan, online_plan
+from stimulus.scene import Scene
 
 WELCOME = "Watch the red agent on its way to the green goal.\nJudge every move in silence: right or wrong?"
 COMPLETE = "Done. Thank you!"
 STOPPED = "The session has ended."
-
-
-@dataclass(frozen=True)
-class Scene:
-    """What is on the screen.
-
-    Attributes
-    ----------
-    agent, goal : cells, None where there is none to see.
-    countdown : part of the countdown that is over, 0 to 1; None outside it.
-    arrow : the cell the agent came from and its action, while the arrow stays.
-    text : lines of a message, shown in place of the grid.
-    moved : True from a jump until its flip is reported.
-    """
-
-    world: GridWorld
-    agent: int | None = None
-    goal: int | None = None
-    countdown: float | None = None
-    arrow: tuple[int, int] | None = None
-    text: str | None = None
-    moved: bool = False
 
 
 @dataclass(frozen=True)
@@ -105,11 +84,9 @@ class Paradigm:
         self._closing_text = COMPLETE
 
     @classmethod
-    def calibration(
-        cls, cfg: Config, world: GridWorld, session: str, participant: str, seed: int, wait_for_key: bool | None = None
-    ) -> Self:
-        """A calibration run; `wait_for_key` lets a key end the breaks, by default when there is a window."""
-        wait = not cfg.stimulus.headless if wait_for_key is None else wait_for_key
+    def calibration(cls, cfg: Config, world: GridWorld, session: str, participant: str, seed: int) -> Self:
+        """A calibration run; a key ends the breaks where there is a window to press it in."""
+        wait = cfg.calibration.wait_for_key and not cfg.stimulus.headless
         return cls(cfg.stimulus, world, calibration_plan(cfg.calibration, world, session, participant, seed, wait))
 
     @classmethod

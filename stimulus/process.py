@@ -22,7 +22,8 @@ from bci_app.protocol import (
     Status,
     marker_code,
 )
-from stimulus.paradigm import Paradigm, Scene
+from stimulus.paradigm import Paradigm
+from stimulus.scene import Scene
 from stimulus.view import View
 
 FRAME_S = 1 / 60

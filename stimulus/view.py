@@ -15,7 +15,7 @@ import pygame
 from bci_app.config import StimulusConfig
 from bci_app.errors import SetupError
 from bci_app.gridworld import STEP, GridWorld
-from stimulus.paradigm import Scene
+from stimulus.scene import Scene
 
 Key = Literal["start", "stop", "pause"]
 
@@ -40,7 +40,7 @@ KEYS: dict[int, Key] = {
 
 BLIND_DRIVERS = ("dummy", "offscreen")
 """What SDL falls back to without a screen, and says nothing: the person would sit before a window nobody sees."""
-NO_SCREEN = "Expected a screen; connect one, or set stimulus.headless to do without."
+NO_SCREEN = "Expected a screen; connect one, or do without one by --headless (stimulus.headless in the configuration)."
 
 
 @dataclass(frozen=True)

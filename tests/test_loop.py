@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import Cli
 
 from bci_app.metrics import confusion, truths
 from bci_app.protocol import Action, EpisodeEnd, EpisodeStart, MoveOnset, Note, SessionEnd, SessionStart, Truth, Verdict
@@ -51,7 +52,7 @@ def printed(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def session(tmp_path_factory: pytest.TempPathFactory, cli) -> Session:
+def session(tmp_path_factory: pytest.TempPathFactory, cli: Cli) -> Session:
     folder = tmp_path_factory.mktemp("study")
     config = folder / "small.toml"
     config.write_text(SMALL.format(folder=(folder / "recordings").as_posix()), encoding="utf-8")
@@ -120,7 +121,7 @@ def test_a_decodable_participant_is_decoded(session: Session) -> None:
 
 
 @pytest.mark.parametrize("name", ["calibration", "open", "obstacles"])
-def test_replay_is_exact(session: Session, cli, name: str) -> None:
+def test_replay_is_exact(session: Session, cli: Cli, name: str) -> None:
     result = printed(cli("replay", session.recording(name), "--json"))
     counts = result["replay"]
     told = session.calibration if name == "calibration" else session.online[name]
@@ -128,7 +129,25 @@ def test_replay_is_exact(session: Session, cli, name: str) -> None:
     assert counts["actions"] == counts["actions_equal"] == told["actions"]
 
 
-def test_replay_sees_a_changed_sample(session: Session, cli, tmp_path: Path) -> None:
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.97])
+def test_a_truncated_recording_is_refused_and_what_it_holds_can_still_be_used(
+    session: Session, cli: Cli, tmp_path: Path, share: float
+) -> None:
+    original = session.recording("calibration")
+    cut = tmp_path / original.name
+    cut.write_bytes(original.read_bytes()[: int(original.stat().st_size * share)])
+    done = cli("fit", cut, "--config", session.config)
+    assert done.returncode == 2
+    assert "cut off before it was closed" in done.stderr
+    whole = {(move.episode, move.step): stamp for stamp, move in read(original).of(MoveOnset)}
+    left = read(cut, allow_damage=True)
+    assert left.damage
+    found = {(move.episode, move.step): stamp for stamp, move in left.of(MoveOnset)}
+    assert found.items() <= whole.items()
+    assert len(found) >= (share - 0.1) * len(whole) - 10
+
+
+def test_replay_sees_a_changed_sample(session: Session, cli: Cli, tmp_path: Path) -> None:
     original = session.recording("open")
     changed = tmp_path / original.name
     contents = bytearray(original.read_bytes())

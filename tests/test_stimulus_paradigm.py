@@ -32,8 +32,9 @@ OPEN = load_map("open")
 LINE = compile_map("...", "three")
 
 
-def calibration(config: Config = CONFIG, world: GridWorld = OPEN, wait_for_key: bool | None = None) -> Paradigm:
-    return Paradigm.calibration(config, world, "s", "P001", 7, wait_for_key)
+def calibration(config: Config = CONFIG, world: GridWorld = OPEN, wait_for_key: bool = False) -> Paradigm:
+    window = {"stimulus": config.stimulus.model_copy(update={"headless": not wait_for_key})}
+    return Paradigm.calibration(config.model_copy(update=window), world, "s", "P001", 7)
 
 
 def online(config: Config = CONFIG, world: GridWorld = OPEN, seed: int = 7) -> Paradigm:

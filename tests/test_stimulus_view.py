@@ -10,7 +10,8 @@ from bci_app.config import Config, StimulusConfig
 from bci_app.errors import SetupError
 from bci_app.gridworld import STEP, GridWorld, compile_map, load_map
 from stimulus import view as module
-from stimulus.paradigm import Paradigm, Scene
+from stimulus.paradigm import Paradigm
+from stimulus.scene import Scene
 from stimulus.view import Board, View, draw_backdrop, draw_scene
 
 WORLDS = [load_map("open"), load_map("obstacles"), compile_map("..", "pair"), compile_map("...\n.#.\n...\n...", "tall")]
@@ -129,7 +130,7 @@ def test_text_is_visible_centred_and_inside(size: tuple[int, int]) -> None:
 
 def test_every_scene_of_a_run_draws(screen: View) -> None:
     config = Config.model_validate({"calibration": {"n_blocks": 2, "moves_per_block": 6}})
-    paradigm = Paradigm.calibration(config, load_map("obstacles"), "s", "P", 1, wait_for_key=True)
+    paradigm = Paradigm.calibration(config, load_map("obstacles"), "s", "P", 1)
     now = 0.0
     while not paradigm.done:
         now += 0.1

@@ -1,0 +1,120 @@
+"""What bci-app heard of a run: who is ready, how far it is, how it ended. No LSL: messages are handed in."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from bci_app.protocol import (
+    Action,
+    AnyMessage,
+    EpisodeEnd,
+    MoveOnset,
+    Note,
+    Role,
+    SessionEnd,
+    SessionStart,
+    Status,
+    Verdict,
+)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run went, by what was heard while it ran.
+
+    Attributes
+    ----------
+    recording : the XDF.
+    reason, text : why it ended.
+    moves, actions : how many were heard of.
+    verdicts : how many of each outcome.
+    notes : warnings and errors of all processes, in words.
+    """
+
+    recording: Path
+    reason: Literal["complete", "interrupted", "failed"]
+    text: str
+    moves: int
+    verdicts: dict[str, int]
+    actions: int
+    notes: tuple[str, ...]
+
+
+class Heard:
+    """Takes in the messages of a run, in the order they came.
+
+    Parameters
+    ----------
+    roles : the processes that take part.
+    """
+
+    def __init__(self, roles: Sequence[Role]) -> None:
+        self._roles = roles
+        self._states: dict[str, Status] = {}
+        self._episodes = 0
+        self._actions = 0
+        self.start: SessionStart | None = None
+        self.end: SessionEnd | None = None
+        self.moves = 0
+        self.verdicts: Counter[str] = Counter()
+        self.notes: list[str] = []
+
+    def take(self, message: AnyMessage) -> None:
+        """Take in one message."""
+        match message:
+            case Status():
+                self._states[message.role] = message
+            case Note(level="warning" | "error"):
+                self.notes.append(f"{message.role}: {message.text}")
+            case SessionStart():
+                self.start = message
+            case SessionEnd():
+                self.end = message
+            case MoveOnset():
+                self.moves += 1
+            case EpisodeEnd():
+                self._episodes += 1
+            case Verdict():
+                self.verdicts[message.outcome] += 1
+            case Action():
+                self._actions += 1
+
+    def all_ready(self) -> bool:
+        """Whether every process says that it is connected to those it needs."""
+        return all(role in self._states and self._states[role].state == "ready" for role in self._roles)
+
+    def all_judged(self) -> bool:
+        """Whether every move has its verdict."""
+        return self.verdicts.total() >= self.moves
+
+    def whereabouts(self) -> str:
+        """One sentence on where each process is, for when it doesn't go on."""
+        parts = []
+        for role in self._roles:
+            status = self._states.get(role)
+            parts.append(f"{role} is {status.state} {status.text}".strip() if status else f"{role} was not heard of")
+        return "; ".join(parts) + "."
+
+    def progress(self) -> tuple[str, int, int]:
+        """(what is going on, done, of how many)."""
+        if self.start is None:
+            return "waiting for the stimulus to begin", 0, 1
+        stimulus = self._states.get("stimulus")
+        if self.start.n_moves:
+            return "calibration", self.moves, self.start.n_moves
+        return f"online, {stimulus.text if stimulus else ''}", self._episodes, self.start.n_episodes or 1
+
+    def outcome(self, recording: Path) -> Outcome:
+        """How it went, once it is over."""
+        end = self.end
+        return Outcome(
+            recording=recording,
+            reason=end.reason if end else "failed",
+            text=end.text if end else "The stimulus never said that it ended.",
+            moves=self.moves,
+            verdicts=dict(self.verdicts),
+            actions=self._actions,
+            notes=tuple(self.notes),
+        )

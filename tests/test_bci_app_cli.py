@@ -1,0 +1,72 @@
+"""A user's mistakes: one clear sentence, exit code 2, no traceback, nothing written over."""
+
+from pathlib import Path
+
+import pytest
+from conftest import Cli
+
+from bci_app.gridworld import load_map
+from policy.checkpoint import choose
+
+
+def refused(cli: Cli, *words: object) -> str:
+    done = cli(*words)
+    assert done.returncode == 2, (done.returncode, done.stdout, done.stderr)
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
+    return done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("calibrate", "--participant", "../P1", "--simulate"), "letters and digits"),
+        (("calibrate", "--participant", "P1", "--speed", 5), "needs --simulate"),
+        (("calibrate", "--participant", "P1", "--simulate", "--speed", "nan"), "--speed"),
+        (("calibrate", "--participant", "P1", "--simulate", "--decodability", 2), "simulation.decodability"),
+        (("calibrate", "--participant", "P1", "--simulate", "--remote", "decoder"), "needs --session"),
+        (("calibrate", "--participant", "P1", "--simulate", "--config", "absent.toml"), "absent.toml"),
+        (("online", "--participant", "P1", "--map", "nowhere", "--simulate"), "open, obstacles"),
+        (("online", "--participant", "NOBODY", "--map", "open", "--simulate"), "No decoder of participant NOBODY"),
+        (("fit", "absent.xdf"), "absent.xdf"),
+        (("replay", "absent.xdf"), "absent.xdf"),
+        (("decoder", "--session", "s", "--model", "absent.safetensors"), "absent.safetensors"),
+        (("stimulus", "--session", "s", "--participant", "P1", "--task", "gaming"), "calibration or online"),
+    ],
+)
+def test_a_mistake_is_one_sentence(cli: Cli, words: tuple[object, ...], says: str) -> None:
+    assert says in refused(cli, *words)
+
+
+def test_a_map_with_unreachable_cells_is_refused(cli: Cli, tmp_path: Path) -> None:
+    bad = tmp_path / "walled.txt"
+    bad.write_text("..#..\n..#..\n", encoding="ascii")
+    assert "cut off" in refused(cli, "online", "--participant", "P1", "--map", bad, "--simulate")
+
+
+def test_a_policy_for_another_map_is_refused(cli: Cli) -> None:
+    other = choose(0.75, load_map("obstacles")).path
+    said = refused(cli, "policy", "--session", "s", "--map", "open", "--policy", other)
+    assert "trained on map 'obstacles'" in said
+
+
+def test_a_recordings_folder_that_cannot_be_made_is_named(cli: Cli, tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("a file", encoding="utf-8")
+    config = tmp_path / "c.toml"
+    config.write_text(f'recordings = "{(tmp_path / "taken").as_posix()}"\n', encoding="utf-8")
+    said = refused(cli, "calibrate", "--participant", "P1", "--simulate", "--headless", "--config", config)
+    assert "Can't write recordings below" in said
+    assert (tmp_path / "taken").read_text(encoding="utf-8") == "a file"
+
+
+def test_help_and_configuration_need_nothing(cli: Cli) -> None:
+    assert "calibrate" in cli("--help").stdout
+    assert '"n_blocks": 5' in cli("config").stdout
+
+
+def test_the_stimulus_does_not_load_torch(cli: Cli) -> None:
+    import subprocess
+    import sys
+
+    code = "import sys, stimulus.process; sys.exit('torch' in sys.modules or 'sklearn' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
