@@ -31,7 +31,10 @@ def run(config: Config, speed: float, seed: int, progress: Progress) -> dict[str
     paths = [Path(calibrated["recording"]), *(Path(told["recording"]) for told in runs.values())]
     replays = [replaying.replay(path, None, None, False, _named(progress, "4/4 replay")) for path in paths]
     summary = _summary(fitted, runs, replays, paths, speed)
-    _write(summary, Path(config.recordings), paths[0])
+    newest = Path(config.recordings) / "summary.json"
+    summary["summary"] = str(newest)
+    for path in (paths[0].parent.parent / newest.name, newest):
+        path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     return summary
 
 
@@ -60,13 +63,6 @@ def _summary(
         "replay_seconds": [result["seconds"] for result in replays],
         "recordings": [str(path) for path in paths],
     }
-
-
-def _write(summary: dict[str, Any], folder: Path, recording: Path) -> None:
-    """Beside the recordings it tells of, and the newest one where it is easily found."""
-    text = json.dumps(summary, indent=2) + "\n"
-    for path in (recording.parent.parent / "summary.json", folder / "summary.json"):
-        path.write_text(text, encoding="utf-8")
 
 
 def _free_visit(folder: Path) -> str:
@@ -110,7 +106,7 @@ def show(summary: dict[str, Any], console: Console) -> None:
     table.add_row("replay: verdicts equal", f"{replay['verdicts_equal']} of {replay['verdicts']}")
     table.add_row("replay: actions equal", f"{replay['actions_equal']} of {replay['actions']}")
     console.print(table)
-    for path in summary["recordings"]:
+    for path in [summary["summary"], *summary["recordings"]]:
         console.print(path, style="dim", soft_wrap=True)
 
 

@@ -61,13 +61,14 @@ def read(path: Path, allow_damage: bool = False) -> Recording:
     """
     streams = _load(path)
     damage = _damage(streams)
-    if damage and not allow_damage:
-        raise SetupError(f"{path} is damaged: {' '.join(damage)} What is left can still be read with --allow-damage.")
     stream = _eeg_stream(streams, path)
     messages = _messages(streams)
     if not messages:
         names = ", ".join(spec.name for spec in STREAMS if spec.string)
-        raise SetupError(f"{path} holds no messages of ours (streams {names}): it isn't a run of this experiment.")
+        also = f" It is damaged as well: {' '.join(damage)}" if damage else ""
+        raise SetupError(f"{path} holds no messages of ours (streams {names}): it isn't our experiment's run.{also}")
+    if damage and not allow_damage:
+        raise SetupError(f"{path} is damaged: {' '.join(damage)} What is left can be read with --allow-damage.")
     samples = np.asarray(stream["time_series"])
     times = np.asarray(stream["time_stamps"], dtype=np.float64)
     return Recording(path, describe(stream["info"]), samples, times, messages, tuple(damage))
@@ -100,7 +101,7 @@ def _damage(streams: list[dict[str, Any]]) -> list[str]:
         except (KeyError, TypeError, IndexError):
             found.append(f"Stream '{name}' has no footer: the file was cut off before it was closed.")
             continue
-        if count != len(stream["time_stamps"]):
+        if count > len(stream["time_stamps"]):
             found.append(f"Stream '{name}' should have {count} samples, found {len(stream['time_stamps'])}.")
     return found
 

@@ -1,4 +1,4 @@
-"""Tests isolate themselves on LSL: machine scope, a session id of their own, this computer asked directly."""
+"""Tests isolate themselves on LSL: machine scope, a session id and ports of their own, this computer asked directly."""
 
 import os
 import subprocess
@@ -9,7 +9,11 @@ from pathlib import Path
 
 import pytest
 
+# Ports of our own: once LSL's usual 32 are taken, by other sessions on this machine, a stream gets one nobody asks at.
 _LSL = f"""
+[ports]
+BasePort = {20000 + os.getpid() % 100 * 100}
+PortRange = 100
 [lab]
 SessionID = errp-bci-tests-{os.getpid()}
 KnownPeers = {{127.0.0.1}}
@@ -56,3 +60,23 @@ def cli() -> Cli:
         )
 
     return run
+
+
+@pytest.fixture(scope="session")
+def any_decoder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A decoder for the foreign amplifier, fitted on noise: it answers, and its answers mean nothing."""
+    import numpy as np
+    from lsl_peers import LABELS
+
+    from bci_app.config import Config
+    from decoder import calibration, model
+    from decoder.chain import design
+
+    rng = np.random.default_rng(0)
+    chain, settings = design(Config().chain, 250.0), Config().classifier
+    error = np.arange(80) % 2 == 0
+    fitted = calibration.calibrate(rng.normal(0, 3, (80, len(LABELS) * 15)), error, settings)
+    made = model.make_model(fitted, error, chain, settings, participant="NOISE", channels=LABELS, n_rejected=0)
+    path = tmp_path_factory.mktemp("model") / "noise_decoder.safetensors"
+    model.save(made, path)
+    return path

@@ -13,13 +13,10 @@ import pylsl
 import pytest
 from lsl_peers import ForeignAmplifier, ForeignStimulus, Listener, until
 
-from bci_app.config import Config
 from bci_app.gridworld import load_map
 from bci_app.protocol import SessionEnd
 from bci_app.recording import read
 from bci_app.runs import read_sidecar
-from decoder import calibration, model
-from decoder.chain import design
 from policy.checkpoint import choose
 
 
@@ -33,21 +30,6 @@ def process(*words: object) -> Iterator[subprocess.Popen[str]]:
     finally:
         running.kill()
         running.communicate()
-
-
-@pytest.fixture(scope="module")
-def any_decoder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A decoder for the foreign amplifier, fitted on noise: it answers, and its answers mean nothing."""
-    from lsl_peers import LABELS
-
-    rng = np.random.default_rng(0)
-    chain, settings = design(Config().chain, 250.0), Config().classifier
-    error = np.arange(80) % 2 == 0
-    fitted = calibration.calibrate(rng.normal(0, 3, (80, len(LABELS) * 15)), error, settings)
-    made = model.make_model(fitted, error, chain, settings, participant="NOISE", channels=LABELS, n_rejected=0)
-    path = tmp_path_factory.mktemp("model") / "noise_decoder.safetensors"
-    model.save(made, path)
-    return path
 
 
 def test_a_foreign_stimulus_works_with_our_decoder_and_policy_and_nobody_opens_the_truth(any_decoder: Path) -> None:
