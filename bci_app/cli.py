@@ -268,7 +268,9 @@ def _terminated(_signal: int, _frame: object) -> NoReturn:
 
 def main() -> None:
     """Run bci-app: exit code 0 fine, 2 the user's or the set-up's mistake, 3 lost a link, 130 interrupted."""
-    signal.signal(signal.SIGTERM, _terminated)
+    for name in ("SIGTERM", "SIGHUP"):  # Windows has no SIGHUP: the terminal was closed
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), _terminated)
     app()
 
 

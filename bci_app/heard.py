@@ -18,6 +18,7 @@ from bci_app.protocol import (
     Status,
     Verdict,
 )
+from bci_app.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,16 @@ class Heard:
         if self.start.n_moves:
             return "calibration", self.moves, self.start.n_moves
         return f"online, {stimulus.text if stimulus else ''}", self._episodes, self.start.n_episodes or 1
+
+    def missing_in(self, recording: Recording) -> list[str]:
+        """What was heard but is not in the recording, and what is damaged in it, in sentences."""
+        counts = (
+            ("moves", self.moves, len(recording.of(MoveOnset))),
+            ("verdicts", self.verdicts.total(), len(recording.of(Verdict))),
+            ("actions", self._actions, len(recording.of(Action))),
+        )
+        lost = [f"{heard - found} of {heard} {name} are not in it." for name, heard, found in counts if found < heard]
+        return [*lost, *recording.damage]
 
     def outcome(self, recording: Path) -> Outcome:
         """How it went, once it is over."""

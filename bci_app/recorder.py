@@ -10,6 +10,8 @@ from bci_app.errors import LinkLost, SetupError
 START_TIMEOUT_S = 30.0
 """Real seconds LabRecorder may take to find and open all streams."""
 
+INTERRUPTS = {signal.SIGINT, signal.SIGTERM}
+
 
 class Recorder:
     """One recording in progress.
@@ -22,20 +24,24 @@ class Recorder:
 
     def __init__(self, path: Path, streams: list[dict[str, str]]) -> None:
         self.path = path
+        self._streams = streams
         self._recorder = LabRecorder()
+
+    def start(self) -> None:
+        """Start recording all streams. Raises SetupError for an existing file, LinkLost for a missing stream."""
         blocked = hasattr(signal, "pthread_sigmask")
         if blocked:
             # LabRecorder inherits the mask: Ctrl-C in the terminal reaches us, who close it in order, not it.
-            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            signal.pthread_sigmask(signal.SIG_BLOCK, INTERRUPTS)
         try:
-            self._recorder.start(path, streams, timeout=START_TIMEOUT_S)
+            self._recorder.start(self.path, self._streams, timeout=START_TIMEOUT_S)
         except FileExistsError as error:
-            raise SetupError(f"{path} exists already and is not overwritten. Choose another run.") from error
+            raise SetupError(f"{self.path} exists already and is not overwritten. Choose another run.") from error
         except (RuntimeError, TimeoutError) as error:
-            raise LinkLost(f"LabRecorder didn't start on all {len(streams)} streams: {error}") from error
+            raise LinkLost(f"LabRecorder didn't start on all {len(self._streams)} streams: {error}") from error
         finally:
             if blocked:
-                signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, INTERRUPTS)
 
     @property
     def alive(self) -> bool:

@@ -8,7 +8,7 @@ import logging
 import secrets
 import signal
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from os import getpid
 from pathlib import Path
 from typing import Any, Literal
@@ -34,6 +34,7 @@ from bci_app.protocol import (
     StreamSpec,
 )
 from bci_app.recorder import Recorder
+from bci_app.recording import read
 from bci_app.runs import Run, checksum, versions, write_sidecar
 
 log = logging.getLogger(__name__)
@@ -65,7 +66,7 @@ class Plan:
     simulate : whether a simulated participant takes part; only then may `speed` differ from 1.
     model, policy : files of the decoder and of the policy; None in a calibration.
     remote : roles started by hand on other machines.
-    extra : what else the sidecar should tell.
+    session : id the remote processes were started with; drawn when there are none.
     """
 
     run: Run
@@ -79,7 +80,6 @@ class Plan:
     policy: Path | None = None
     remote: frozenset[Role] = frozenset()
     session: str | None = None
-    extra: dict[str, Any] = field(default_factory=dict)
 
     @property
     def roles(self) -> tuple[Role, ...]:
@@ -110,6 +110,8 @@ def conduct(plan: Plan, progress: Progress) -> Outcome:
         raise
     finally:
         conductor.close()
+    if conductor.missing:
+        raise LinkLost(f"{plan.run.xdf} is not what was heard while it was recorded: {' '.join(conductor.missing)}")
     return conductor.outcome()
 
 
@@ -141,6 +143,8 @@ class _Conductor:
         self.heard = Heard(plan.roles)
         self.recorder: Recorder | None = None
         self.sidecar: dict[str, Any] = {}
+        self.missing: list[str] = []
+        """What was heard and is not in the file, in sentences; known once it is closed."""
 
     # Before the first move.
 
@@ -196,9 +200,9 @@ class _Conductor:
         specs += [AMPLIFIER_NOTES] if self.plan.simulate else []
         streams = [{"source_id": spec.source_id(self.session)} for spec in specs]
         streams.append({"name": eeg.name, "type": self.config.eeg.stream_type, "source_id": eeg.source_id})
-        self.recorder = Recorder(self.plan.run.xdf, streams)
-        size = self.recorder.size()
-        recorder = self.recorder
+        recorder = self.recorder = Recorder(self.plan.run.xdf, streams)
+        recorder.start()
+        size = recorder.size()
         self._await(lambda: recorder.size() > size, lambda: None, f"{self.plan.run.xdf} to grow", GROW_TIMEOUT_S)
         self._save_sidecar(state="recording", eeg={"name": eeg.name, "sfreq": eeg.sfreq, "channels": eeg.channels})
 
@@ -248,21 +252,27 @@ class _Conductor:
         """Let the recorder have the tail, close the file, end the processes, and write down how it ended."""
         handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
-            if self.recorder is not None:
+            if self.recorder is not None and self.recorder.alive:
                 self.peer.rest(TAIL_S)
-                if self.recorder.alive:
-                    self.progress("closing the recording", 0, 1)
-                    self.recorder.stop()
+                self.progress("closing the recording", 0, 1)
+                self.recorder.stop()
+        finally:
             self.inlets.clear()
             self.crew.end()
             self._save_sidecar(**self._closing())
-        finally:
             signal.signal(signal.SIGINT, handler)
 
     def _closing(self) -> dict[str, Any]:
         path = self.plan.run.xdf
-        recorded = {"sha256": checksum(path), "bytes": path.stat().st_size} if path.exists() else {}
-        return asdict(self.outcome(), dict_factory=_plain) | recorded | {"state": "closed"}
+        told = asdict(self.outcome(), dict_factory=_plain) | {"state": "closed"}
+        if not path.exists():
+            return told
+        self.progress("checking the recording", 0, 1)
+        try:
+            self.missing = self.heard.missing_in(read(path, allow_damage=True))
+        except SetupError as error:
+            self.missing = [str(error)]
+        return told | {"sha256": checksum(path), "bytes": path.stat().st_size, "missing": self.missing}
 
     def outcome(self) -> Outcome:
         """How the run went, by what was heard."""
@@ -284,7 +294,7 @@ class _Conductor:
                 "policy": _file(plan.policy),
                 "config": self.config.model_dump(mode="json"),
                 "versions": versions(),
-            } | plan.extra
+            }
         self.sidecar |= news
         write_sidecar(self.plan.run.sidecar, self.sidecar)
 

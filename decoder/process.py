@@ -68,14 +68,16 @@ class _Server:
         """Take a few seconds of EEG to see that the rate is right and all channels deliver numbers."""
         description = self._eeg.description
         stamps, bad = [np.empty(0)], np.zeros(len(description.picks), dtype=bool)
-        while sum(map(len, stamps)) < LOOK_S * description.sfreq:
-            self._peer.say("waiting", f"for {LOOK_S:g} s of EEG from '{description.name}'")
+        # Also so long that the very first move can have its epoch.
+        wanted = max(LOOK_S * description.sfreq, self._judge.shape.n_before)
+        while sum(map(len, stamps)) < wanted:
+            self._peer.say("waiting", f"for {wanted / description.sfreq:.1f} s of EEG from '{description.name}'")
             samples, times = self._eeg.pull(POLL_S)
             self._buffer.push(samples, times)
             stamps.append(times)
             bad |= ~np.isfinite(samples).all(axis=0)
-            self._check_silence(len(times))
-            if self._silent:
+            self._last_sample = local_clock() if len(times) else self._last_sample
+            if local_clock() - self._last_sample > LOST_S:
                 raise SetupError(
                     f"Stream '{description.name}' is there but delivers no samples. Start the amplifier's acquisition."
                 )

@@ -45,15 +45,20 @@ class ForeignAmplifier:
             channel.append_child_value("type", "EEG")
             if unit is not None:
                 channel.append_child_value("unit", unit)
-        self._outlet = pylsl.StreamOutlet(info)
+        self._outlet: pylsl.StreamOutlet | None = pylsl.StreamOutlet(info)
         self._rng = np.random.default_rng(1)
         self._started = pylsl.local_clock()
         self._sent = 0
         self._rate = delivered or sfreq
         self._spoil = spoil
 
+    def close(self) -> None:
+        """Take the stream off the network, even where a failed test still holds this object."""
+        self._outlet = None
+
     def play(self) -> None:
         """Send what is due by now, then let a hundredth of a second pass."""
+        assert self._outlet is not None
         due = int((pylsl.local_clock() - self._started) * self._rate)
         if due > self._sent:
             number = np.arange(self._sent, due)

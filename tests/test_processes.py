@@ -5,13 +5,13 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 import numpy as np
 import pylsl
 import pytest
-from lsl_peers import ForeignAmplifier, ForeignStimulus, Listener, until
+from lsl_peers import LABELS, ForeignAmplifier, ForeignStimulus, Listener, until
 
 from bci_app.gridworld import load_map
 from bci_app.protocol import SessionEnd
@@ -34,9 +34,10 @@ def process(*words: object) -> Iterator[subprocess.Popen[str]]:
 
 def test_a_foreign_stimulus_works_with_our_decoder_and_policy_and_nobody_opens_the_truth(any_decoder: Path) -> None:
     """Decoder and policy answer a program built on docs/protocol.md; neither ever subscribes to the truth."""
-    amplifier, stimulus = ForeignAmplifier(), ForeignStimulus("foreign")
+    stimulus = ForeignStimulus("foreign")
     policy_file = choose(0.75, load_map("open")).path
     with (
+        closing(ForeignAmplifier()) as amplifier,
         process("decoder", "--session", "foreign", "--model", any_decoder) as decoder,
         process("policy", "--session", "foreign", "--map", "open", "--policy", policy_file) as policy,
     ):
@@ -154,9 +155,9 @@ def spoil_one(samples: np.ndarray) -> None:
 def test_a_wrong_amplifier_is_refused_before_anything_starts(
     tmp_path: Path, make: Callable[[], list[ForeignAmplifier]], says: str
 ) -> None:
-    amplifiers = make()
     words = ("calibrate", "--participant", "P1", "--config", lab_config(tmp_path), "--headless")
-    with process(*words) as running:
+    with ExitStack() as stack, process(*words) as running:
+        amplifiers = [stack.enter_context(closing(amplifier)) for amplifier in make()]
         until(
             lambda: running.poll() is not None, 60, "the refusal", lambda: [amp.play() for amp in amplifiers] and None
         )
@@ -167,16 +168,19 @@ def test_a_wrong_amplifier_is_refused_before_anything_starts(
 
 
 def test_missing_channels_are_refused_and_reordered_ones_mended(tmp_path: Path, any_decoder: Path) -> None:
-    from lsl_peers import LABELS
-
-    missing = ForeignAmplifier("AmpC", labels=[label for label in LABELS if label != "FCz"])
-    with process("doctor", "--model", any_decoder, "--json") as running:
+    all_but_one = [label for label in LABELS if label != "FCz"]
+    with (
+        closing(ForeignAmplifier("AmpC", labels=all_but_one)) as missing,
+        process("doctor", "--model", any_decoder, "--json") as running,
+    ):
         until(lambda: running.poll() is not None, 40, "doctor", missing.play)
         assert running.returncode == 2
         assert "missing: FCz" in running.communicate()[0]
-    del missing
-    shuffled = ForeignAmplifier("AmpD", labels=[label.upper() for label in reversed(LABELS)])
-    with process("doctor", "--model", any_decoder, "--json") as running:
+    otherwise = [label.upper() for label in reversed(LABELS)]
+    with (
+        closing(ForeignAmplifier("AmpD", labels=otherwise)) as shuffled,
+        process("doctor", "--model", any_decoder, "--json") as running,
+    ):
         until(lambda: running.poll() is not None, 40, "doctor", shuffled.play)
         assert running.returncode == 0, running.communicate()
         assert json.loads(running.communicate()[0])["fit"]
