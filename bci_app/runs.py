@@ -102,8 +102,11 @@ def sidecar_of(recording: Path) -> Path:
 def write_sidecar(path: Path, content: dict[str, Any]) -> None:
     """Write or renew a sidecar so that a crash leaves the old one or the new one, never half of it."""
     temporary = path.with_suffix(".json.part")
-    temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    temporary.replace(path)
+    try:
+        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        raise SetupError(f"Can't write {path}: {error.strerror}. Is the disk full, or locked?") from error
 
 
 def read_sidecar(recording: Path) -> dict[str, Any]:
@@ -112,10 +115,28 @@ def read_sidecar(recording: Path) -> dict[str, Any]:
     if not path.exists():
         return {}
     try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
         raise SetupError(f"The sidecar {path} is not valid JSON: {error}. Restore or remove it.") from error
+    if not isinstance(content, dict):
+        raise SetupError(f"The sidecar {path} should hold a JSON object, found {content!r:.60}. Restore or remove it.")
     return content
+
+
+def eeg_type(sidecar: dict[str, Any]) -> str:
+    """LSL type of the run's EEG stream."""
+    config = sidecar.get("config", {})
+    return str(config.get("eeg", {}).get("stream_type", "EEG")) if isinstance(config, dict) else "EEG"
+
+
+def check_untouched(recording: Path, sidecar: dict[str, Any]) -> None:
+    """Raise SetupError when a recording isn't, to the bit, the file that was closed at the end of its run."""
+    expected = sidecar.get("sha256")
+    if expected and checksum(recording) != expected:
+        raise SetupError(
+            f"{recording} is not the file that was recorded: its SHA-256 differs from its sidecar's. Restore a copy; "
+            "XDF itself wouldn't show a damaged sample."
+        )
 
 
 def checksum(path: Path) -> str:

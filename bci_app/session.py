@@ -32,6 +32,7 @@ from bci_app.protocol import (
     Command,
     Role,
     StreamSpec,
+    simulated_source_id,
 )
 from bci_app.recorder import Recorder
 from bci_app.recording import read
@@ -43,6 +44,13 @@ READY_TIMEOUT_S = 90.0
 """Real seconds all processes may take to be ready (the slowest loads torch)."""
 GROW_TIMEOUT_S = 10.0
 """Real seconds after which a file that doesn't grow is not being written."""
+HEARTBEAT_TIMEOUT_S = 10.0
+"""Real seconds without a word from a process that speaks every second: it hangs, or its machine is gone."""
+LEAD_CYCLES = 4.5
+"""EEG recorded before the first move, in periods of the chain's lowest frequency: its FIR is 3.3 long (MNE's rule)."""
+REJECTED_IN_A_ROW = 10
+"""Moves in a row without a valid epoch after which going on would only waste the participant's time (decided)."""
+ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 TAIL_S = 1.5
 """Real seconds between the last message and closing the file: LabRecorder writes in batches of half a second."""
 STREAM_OF: dict[Role, StreamSpec] = {
@@ -118,14 +126,12 @@ def conduct(plan: Plan, progress: Progress) -> Outcome:
 def _for_session(plan: Plan, session: str) -> Config:
     if not plan.simulate:
         return plan.config
-    eeg = plan.config.eeg.model_copy(update={"stream_name": None, "source_id": simulated_source_id(session)})
+    eeg = plan.config.eeg.model_copy(
+        update={"stream_type": "EEG", "stream_name": None, "source_id": simulated_source_id(session)}
+    )
+    simulation = plan.config.simulation.model_copy(update={"run": plan.seed})
     calibration = plan.config.calibration.model_copy(update={"wait_for_key": False})
-    return plan.config.model_copy(update={"eeg": eeg, "calibration": calibration})
-
-
-def simulated_source_id(session: str) -> str:
-    """Source id of the simulated amplifier's EEG stream: other sessions' amplifiers are never taken for it."""
-    return f"bci-app/{session}/eeg"
+    return plan.config.model_copy(update={"eeg": eeg, "calibration": calibration, "simulation": simulation})
 
 
 class _Conductor:
@@ -143,13 +149,19 @@ class _Conductor:
         self.heard = Heard(plan.roles)
         self.recorder: Recorder | None = None
         self.sidecar: dict[str, Any] = {}
+        self.last_word: dict[Role, float] = {}
+        self.size = 0
+        self.grew_at = 0.0
         self.missing: list[str] = []
         """What was heard and is not in the file, in sentences; known once it is closed."""
 
     # Before the first move.
 
     def prepare(self) -> None:
-        """Start everything, wait until every process is ready, then start recording and check that it grows."""
+        """Start everything, wait until every process is ready, then start recording and check that it grows.
+
+        The first move's epoch reaches back some seconds, and those must be in the file too, or no replay were exact.
+        """
         self._save_sidecar(state="starting")
         for role in self.plan.roles:
             if role not in self.plan.remote:
@@ -157,6 +169,8 @@ class _Conductor:
         self._await(lambda: len(self.inlets) == len(self.plan.roles), self._connect, "processes to appear")
         self._await(self.heard.all_ready, lambda: None, "processes to be ready")
         self._record()
+        lead_until = self.clock.now() + LEAD_CYCLES / self.config.chain.low_hz
+        self._await(lambda: self.clock.now() > lead_until, lambda: None, "EEG before the first move")
 
     def _arguments(self, role: Role) -> list[str]:
         path = self.plan.run.logs / "config.json"
@@ -202,7 +216,7 @@ class _Conductor:
         streams.append({"name": eeg.name, "type": self.config.eeg.stream_type, "source_id": eeg.source_id})
         recorder = self.recorder = Recorder(self.plan.run.xdf, streams)
         recorder.start()
-        size = recorder.size()
+        size, self.grew_at = recorder.size(), local_clock()
         self._await(lambda: recorder.size() > size, lambda: None, f"{self.plan.run.xdf} to grow", GROW_TIMEOUT_S)
         self._save_sidecar(state="recording", eeg={"name": eeg.name, "sfreq": eeg.sfreq, "channels": eeg.channels})
 
@@ -215,27 +229,52 @@ class _Conductor:
                 self.peer.push(Command(session=self.session, command="start"))
             self.peer.say("running")
             self._listen(timeout=0.1)
-            self.crew.check()
-            if self.recorder is None or not self.recorder.alive:
-                raise LinkLost(f"LabRecorder died; {self.plan.run.xdf} holds what it had written until then.")
+            self._check()
             self.progress(*self.heard.progress())
         if self.heard.end.reason == "complete":
             self._await(self.heard.all_judged, lambda: None, "the last verdict", END_TIMEOUT_S)
 
     def _listen(self, timeout: float) -> None:
-        for number, inlet in enumerate(self.inlets.values()):
-            for item in self.peer.hear(inlet, timeout if number == len(self.inlets) - 1 else 0.0):
+        for number, (role, inlet) in enumerate(self.inlets.items()):
+            received = self.peer.hear(inlet, timeout if number == len(self.inlets) - 1 else 0.0)
+            if received:
+                self.last_word[role] = local_clock()
+            for item in received:
                 self.heard.take(item.message)
+
+    def _check(self) -> None:
+        """Raise when something the run needs is lost, though nobody said so."""
+        self.crew.check()
+        now = local_clock()
+        for role, spoke_at in self.last_word.items():
+            if now - spoke_at > HEARTBEAT_TIMEOUT_S:
+                raise LinkLost(
+                    f"No word from the {role} process for {HEARTBEAT_TIMEOUT_S:g} s: it hangs or is cut off."
+                )
+        if self.recorder is None or not self.recorder.alive:
+            raise LinkLost(f"LabRecorder died; {self.plan.run.xdf} holds what it had written until then.")
+        size = self.recorder.size()
+        if size > self.size:
+            self.size, self.grew_at = size, now
+        if now - self.grew_at > GROW_TIMEOUT_S:
+            raise LinkLost(
+                f"{self.plan.run.xdf} has stopped growing at {size} bytes: the disk is full or LabRecorder hangs."
+            )
+        if self.heard.rejected_in_a_row >= REJECTED_IN_A_ROW:
+            raise LinkLost(
+                f"The last {REJECTED_IN_A_ROW} moves gave no valid epoch ({self.heard.last_reason}). Look at the EEG."
+            )
 
     # However it ends.
 
     def interrupt(self) -> None:
         """Ctrl-C: the stimulus says so in the record and ends; the rest follows in order."""
+        self.heard.ending = ("interrupted", "Interrupted at bci-app.")
         self._stop_stimulus("Interrupted; closing the recording.")
 
     def fail(self, text: str) -> None:
         """Something is lost: say it in the record, and stop the stimulus if it still listens."""
-        self.heard.notes.append(text)
+        self.heard.ending = ("failed", text)
         self.peer.note("error", text)
         self._stop_stimulus(text)
 
@@ -250,7 +289,8 @@ class _Conductor:
 
     def close(self) -> None:
         """Let the recorder have the tail, close the file, end the processes, and write down how it ended."""
-        handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        # All of this is bounded in time; a second Ctrl-C would only leave a recording without its end.
+        handlers = {number: signal.signal(number, signal.SIG_IGN) for number in ENDINGS}
         try:
             if self.recorder is not None and self.recorder.alive:
                 self.peer.rest(TAIL_S)
@@ -260,7 +300,8 @@ class _Conductor:
             self.inlets.clear()
             self.crew.end()
             self._save_sidecar(**self._closing())
-            signal.signal(signal.SIGINT, handler)
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
 
     def _closing(self) -> dict[str, Any]:
         path = self.plan.run.xdf

@@ -1,5 +1,6 @@
 """What `calibrate` and `online` do: find the files, check what can be checked beforehand, conduct the run."""
 
+import re
 import secrets
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,10 +17,16 @@ from bci_app.protocol import Role
 from bci_app.runs import check_label, new_run
 from bci_app.session import Plan, Task, conduct
 
+MIN_SPEED = 0.1
+SESSION_ID = re.compile(r"[A-Za-z0-9_-]+\Z")
 MAX_SPEED = 100.0
 """Session seconds a real second beyond which no computer keeps up: a move would take 30 ms (decided)."""
 
+VERDICTS_HELP_FROM = 0.60
+"""Accuracy from which the shipped 0.70 policies are faster than those without verdicts (1500 episodes, both maps)."""
+
 if TYPE_CHECKING:
+    from decoder.model import ModelInfo
     from policy.checkpoint import PolicyCard
 
 
@@ -75,14 +82,14 @@ def online(
 
     path = model_path or newest_model(Path(wishes.config.recordings), wishes.participant)
     model = load(path)
-    accuracy = float(model.info.tenfold["accuracy"]["value"])
-    gate = wishes.config.policy.gate_accuracy
-    if accuracy < gate and not below_gate and policy != "none":
+    if model.info.participant != wishes.participant and model_path is None:
         raise SetupError(
-            f"The decoder {path.name} reached {accuracy:.1%} in cross-validation, below the gate of {gate:.0%} under "
-            "which the published policies gained nothing from verdicts. Recalibrate, run without verdicts by "
-            "`--policy none`, or run with them all the same by --below-gate."
+            f"{path} was calibrated on participant {model.info.participant}, not {wishes.participant}. Recalibrate, or "
+            "name a decoder with --model."
         )
+    accuracy = float(model.info.tenfold["accuracy"]["value"])
+    if policy != "none" and not below_gate:
+        _check_gate(path, model.info, wishes.config.policy.gate_accuracy)
     card = _policy_card(policy, accuracy, world)
     if not wishes.simulate:
         eeg = _look_at_eeg(wishes.config)
@@ -94,6 +101,24 @@ def online(
     }
 
 
+def _check_gate(path: Path, info: "ModelInfo", gate: float) -> None:
+    """Below the gate explain, and ask for a flag."""
+    accuracy, balanced = (float(info.tenfold[name]["value"]) for name in ("accuracy", "balanced_accuracy"))
+    if accuracy >= gate:
+        return
+    advice = "run without verdicts by `--policy none`, or run with them all the same by --below-gate."
+    if balanced < VERDICTS_HELP_FROM:
+        advice = (
+            f"run without verdicts by `--policy none` (below {VERDICTS_HELP_FROM:.0%} they make the agent slower), "
+        )
+        advice += "or run with them all the same by --below-gate."
+    raise SetupError(
+        f"The decoder {path.name} reached {accuracy:.1%} in cross-validation (balanced {balanced:.1%}, in contiguous "
+        f"folds {float(info.blocked['balanced_accuracy']['value']):.1%}), below the gate of {gate:.0%} under which the "
+        f"published policies gained nothing from verdicts. Recalibrate, {advice}"
+    )
+
+
 def _look_at_eeg(config: Config) -> EegDescription:
     """The lab's EEG stream, before anything is started or written: there, only once, with labels and units."""
     eeg = describe(find_eeg(config.eeg, timeout=5.0))
@@ -103,13 +128,20 @@ def _look_at_eeg(config: Config) -> EegDescription:
 
 def newest_model(folder: Path, participant: str) -> Path:
     """The participant's newest decoder: of the last visit, its last run, its last fit. SetupError if there is none."""
-    found = sorted(folder.glob(f"sub-{check_label(participant, '--participant')}/ses-*/eeg/*_decoder*.safetensors"))
+    pattern = f"sub-{check_label(participant, '--participant')}/ses-*/eeg/*_task-calibration_run-*_decoder*.safetensors"
+    found = list(folder.glob(pattern))
     if not found:
         raise SetupError(
             f"No decoder of participant {participant} below {folder}. Run `bci-app calibrate --participant "
             f"{participant}` and `bci-app fit` on its recording first, or name a decoder with --model."
         )
-    return max(found, key=lambda path: path.stat().st_mtime_ns)
+    return max(found, key=_order)
+
+
+def _order(model: Path) -> tuple[str, str, int]:
+    """Visit, run and number of the fit, as the names tell them; times of files change when they are copied."""
+    stem, _, number = model.stem.partition("_decoder")
+    return model.parent.parent.name, stem, int(number.removeprefix("-") or 1)
 
 
 def _policy_card(policy: str | None, accuracy: float, world: GridWorld) -> "PolicyCard":
@@ -142,8 +174,14 @@ def _check(wishes: Wishes) -> None:
     check_label(wishes.visit, "--visit")
     if wishes.speed != 1.0 and not wishes.simulate:
         raise SetupError(f"--speed {wishes.speed:g} needs --simulate: people and amplifiers run at speed 1.")
-    if not 0 < wishes.speed <= MAX_SPEED:
-        raise SetupError(f"--speed must be above 0 and at most {MAX_SPEED:g}, found {wishes.speed:g}.")
+    if not MIN_SPEED <= wishes.speed <= MAX_SPEED:
+        raise SetupError(f"--speed must be from {MIN_SPEED:g} to {MAX_SPEED:g}, found {wishes.speed:g}.")
+    if wishes.seed is not None and wishes.seed < 0:
+        raise SetupError(f"--seed must be 0 or more, found {wishes.seed}.")
+    if wishes.session is not None and not SESSION_ID.match(wishes.session):
+        raise SetupError(f"--session must be letters, digits, - and _ only, found {wishes.session!r}.")
+    if wishes.remote and wishes.speed != 1.0:
+        raise SetupError("--remote needs --speed 1: another machine's clock can't run faster.")
     unknown = sorted(set(wishes.remote) - set(get_args(Role)))
     if unknown:
         raise SetupError(f"--remote takes one of {', '.join(get_args(Role))}; found {', '.join(unknown)}.")

@@ -83,7 +83,7 @@ def online(campaign: Campaign, table: Table) -> None:
     """Steps and success at 0.75, against the same policy on coin flips."""
     for map_name in MAPS:
         for control in (False, True):
-            told = [campaign.online(0.75, seed, map_name, control) for seed in SEEDS]
+            told = [campaign.online(0.75, seed, map_name, control) for seed in (SEEDS[:3] if control else SEEDS)]
             figures = metrics.online([read(Path(run["recording"])) for run in told])
             steps = [metrics.online([read(Path(run["recording"]))])["mean_steps"] for run in told]
             error = float(np.std(steps, ddof=1) / np.sqrt(len(steps)))

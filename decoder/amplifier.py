@@ -9,7 +9,7 @@ from bci_app.config import Config, SimulationConfig
 from bci_app.eeg import EegDescription
 from bci_app.lsl import EegOutlet, MessageInlet
 from bci_app.peer import Peer
-from bci_app.protocol import AMPLIFIER_NOTES, STIMULUS, TRUTH, SessionEnd, Truth
+from bci_app.protocol import AMPLIFIER_NOTES, STIMULUS, TRUTH, SessionEnd, Truth, simulated_source_id
 from decoder.background import read_background
 from decoder.participant import Participant
 
@@ -32,8 +32,10 @@ def run(config: Config, session: str, clock: Clock, parent: int | None = None) -
 
 def make_participant(config: SimulationConfig, t0: float) -> Participant:
     """The participant of the configuration; sample 0 is taken at session time `t0`."""
-    background = read_background(Path(config.background), config.sfreq) if config.background else None
-    return Participant(config.seed, config.sfreq, config.decodability, config.errp, background=background, t0=t0)
+    background = read_background(Path(config.background), config.sfreq, config.run) if config.background else None
+    return Participant(
+        config.seed, config.sfreq, config.decodability, config.errp, background=background, t0=t0, run=config.run
+    )
 
 
 class _Player:
@@ -46,7 +48,7 @@ class _Player:
         self._participant = make_participant(config.simulation, self._t0)
         names = tuple(self._participant.names)
         n_channels = len(names)
-        source_id = config.eeg.source_id or f"bci-app/{peer.session}/eeg"
+        source_id = config.eeg.source_id or simulated_source_id(peer.session)
         description = EegDescription(
             name="SimulatedAmplifier",
             source_id=source_id,

@@ -49,6 +49,11 @@ class Background(Protocol):
         """Samples from number `start` >= 0 on: float64, (n_times, n_channels), uV."""
 
 
+def moment(seed: int, run: int) -> int:
+    """Seed of what differs from run to run of one person; the person's own seed in run 0."""
+    return int(np.random.default_rng([seed, 9, run]).integers(2**31)) if run else seed
+
+
 class SyntheticBackground:
     """1/f noise that neighbours share, waxing alpha, blinks, line noise, drifts and offsets, at `MONTAGE_64`.
 
@@ -56,18 +61,19 @@ class SyntheticBackground:
     ----------
     seed : the same seed gives the same EEG.
     sfreq : rate, Hz.
+    run : another number gives other noise of the same person.
 
     Notes
     -----
-    Made in blocks, each from its own generator (seed, block). Pieces two blocks long are made in the frequency domain,
+    Made in blocks, each from its own generator. Pieces two blocks long are made in the frequency domain,
     windowed by a half sine and overlapped by half, so that the variance is the same everywhere and no state is
     carried. There is nothing below 1 / (2 * BLOCK_S) Hz but the drifts.
     """
 
-    def __init__(self, seed: int, sfreq: float = 500.0) -> None:
+    def __init__(self, seed: int, sfreq: float = 500.0, run: int = 0) -> None:
         self.names = MONTAGE_64
         self.sfreq = sfreq
-        self._seed = seed
+        self._moment = moment(seed, run)
         self._n_block = fft.next_fast_len(round(BLOCK_S * sfreq), real=True)
         self._where = directions(self.names)
         rng = np.random.default_rng([seed, 0])
@@ -110,14 +116,14 @@ class SyntheticBackground:
 
     def _piece(self, number: int) -> Array:
         if number not in self._pieces:
-            rng = np.random.default_rng([self._seed, 1, number])
+            rng = np.random.default_rng([self._moment, 1, number])
             spectra = rng.standard_normal((2, *self._spectra.shape))
             noise = fft.irfft((spectra[0] + 1j * spectra[1]) * self._spectra, n=2 * self._n_block, axis=0)
             remember(self._pieces, number, noise * self._window)
         return self._pieces[number]
 
     def _add_blinks(self, block: Array, number: int) -> None:
-        rng = np.random.default_rng([self._seed, 2, number])
+        rng = np.random.default_rng([self._moment, 2, number])
         shape = signal.windows.hann(round(0.3 * self.sfreq))[:, None] ** 1.5
         frontal = bump(self._where, (0.0, 1.0, -0.3), 0.6)
         for _ in range(rng.poisson(BLINKS_A_MINUTE / 60 * len(block) / self.sfreq)):
@@ -134,10 +140,16 @@ class RecordedBackground:
     names : its channels.
     recorded_sfreq : its rate, Hz.
     sfreq : the rate wanted, Hz.
+    run : another number begins elsewhere in the loop.
     """
 
     def __init__(
-        self, data: NDArray[np.floating], names: tuple[str, ...], recorded_sfreq: float, sfreq: float = 500.0
+        self,
+        data: NDArray[np.floating],
+        names: tuple[str, ...],
+        recorded_sfreq: float,
+        sfreq: float = 500.0,
+        run: int = 0,
     ) -> None:
         self.names = names
         self.sfreq = sfreq
@@ -155,14 +167,15 @@ class RecordedBackground:
         offset = self._loop.mean(axis=0)
         fading_out, fading_in = resampled[-n_fade:] - offset, self._loop[:n_fade] - offset
         self._loop[:n_fade] = np.cos(angle) * fading_out + np.sin(angle) * fading_in + offset
+        self._begin = moment(0, run) % len(self._loop)
 
     def samples(self, start: int, n_times: int) -> Array:
         """Samples from number `start` >= 0 on: float64, (n_times, n_channels), uV."""
-        looped: Array = self._loop[np.arange(start, start + n_times) % len(self._loop)]
+        looped: Array = self._loop[(self._begin + np.arange(start, start + n_times)) % len(self._loop)]
         return looped
 
 
-def read_background(path: Path, sfreq: float = 500.0) -> RecordedBackground:
+def read_background(path: Path, sfreq: float = 500.0, run: int = 0) -> RecordedBackground:
     """A recording's EEG channels as a background at `sfreq` Hz; any format that `mne.io.read_raw` reads.
 
     Raises SetupError when it can't be read or holds no EEG.
@@ -175,7 +188,7 @@ def read_background(path: Path, sfreq: float = 500.0) -> RecordedBackground:
     except (OSError, ValueError, RuntimeError) as error:
         raise SetupError(f"Can't read EEG from {path}: {error}. Give a file that MNE reads, such as EDF.") from error
     names = tuple(raw.copy().pick("eeg").ch_names)
-    return RecordedBackground(volts.T * 1e6, names, float(raw.info["sfreq"]), sfreq)
+    return RecordedBackground(volts.T * 1e6, names, float(raw.info["sfreq"]), sfreq, run)
 
 
 def _sources(where: Array, n_block: int, sfreq: float) -> tuple[Array, Array]:

@@ -64,9 +64,10 @@ class Epoch:
 
 @dataclass(frozen=True)
 class Rejection:
-    """An onset without an epoch, and why."""
+    """An onset without an epoch, and why; `by_time` when it was not the samples but when they, or it, came."""
 
     reason: str
+    by_time: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +150,7 @@ def _outside(segment: Segment, stretch: slice, onset: float) -> Rejection | None
     """Samples that are not there and never will be."""
     missing = max(0, -stretch.start)
     if missing and segment.trimmed:
-        return Rejection(f"the onset came too late: {missing} of its samples are no longer buffered")
+        return Rejection(f"the onset came too late: {missing} of its samples are no longer buffered", by_time=True)
     if missing:
         return Rejection(f"the EEG begins only {onset - segment.first_time:.3f} s before the onset")
     if stretch.stop > len(segment.times) and segment.closed:
@@ -224,7 +225,7 @@ class EpochBuffer(Generic[Key]):
 
     def abandon(self, reason: str) -> None:
         """Reject every onset still waiting; `poll` returns them."""
-        self._finished += [(key, Rejection(reason)) for key in self._waiting]
+        self._finished += [(key, Rejection(reason, by_time=True)) for key in self._waiting]
         self._waiting.clear()
 
     @property

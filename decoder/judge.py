@@ -50,6 +50,7 @@ class Judge:
                 step=key[1],
                 outcome="rejected",
                 reason=result.reason,
+                by_time=result.by_time,
                 clock_offset=clock_offset,
             )
         vector = self.features(result)

@@ -52,8 +52,8 @@ class ModelInfo(BaseModel):
     tenfold: dict[str, Any]
     """`decoder.calibration.Scores` of stratified cross-validation; `blocked` of contiguous folds."""
     blocked: dict[str, Any]
-    created: str
-    """Time of creation, ISO 8601, or empty."""
+    recording_sha256: str
+    """Of the calibration it was fitted on, or empty."""
     versions: dict[str, str]
 
 
@@ -86,7 +86,7 @@ def make_model(
     participant: str,
     channels: Sequence[str],
     n_rejected: int,
-    created: str = "",
+    recording_sha256: str = "",
 ) -> DecoderModel:
     """Put a model together from a calibration and the chain its features came from."""
     info = ModelInfo(
@@ -102,7 +102,7 @@ def make_model(
         n_rejected=n_rejected,
         tenfold=calibration.tenfold.as_dict(),
         blocked=calibration.blocked.as_dict(),
-        created=created,
+        recording_sha256=recording_sha256,
         versions={"python": platform.python_version(), **{name: _version(name) for name in _LIBRARIES}},
     )
     return DecoderModel(info, chain_operator(chain), calibration.classifier, calibration.tenfold_log_odds, error)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from decoder.background import Background, SyntheticBackground, bump, remember
+from decoder.background import Background, SyntheticBackground, bump, moment, remember
 from decoder.montage import directions
 
 Array = NDArray[np.float64]
@@ -58,10 +58,12 @@ class Participant:
     ----------
     seed : the same seed gives the same person, to the bit.
     sfreq : rate, Hz.
-    decodability : balanced accuracy that our decoder reaches on this person in cross-validation over 600 moves.
+    decodability : balanced accuracy that our decoder reaches on this person in cross-validation over 600 moves;
+        measured for the synthetic background, in a recorded one it is some points lower.
     errp : False: error moves are answered like correct ones.
     background : the EEG to answer in; synthetic by default. Its rate and channels are used then.
     t0 : session time of sample 0, s.
+    run : another number, another hour of the same person: other noise and other single trials.
 
     Notes
     -----
@@ -79,9 +81,10 @@ class Participant:
         *,
         background: Background | None = None,
         t0: float = 0.0,
+        run: int = 0,
     ) -> None:
-        self._background = background or SyntheticBackground(seed, sfreq)
-        self._seed = seed
+        self._background = background or SyntheticBackground(seed, sfreq, run)
+        self._moment = moment(seed, run)
         self._t0 = t0
         self._mean_uv = GAIN_UV * separation(decodability) if errp else 0.0
         rng = np.random.default_rng([seed, 3])
@@ -139,8 +142,8 @@ class Participant:
         return self._recent[key]
 
     def _answer(self, onset: float, error: bool, number: int) -> _Answer:
-        rng = np.random.default_rng([self._seed, 4, int(error), number])
-        gain = GAIN_UV * stratified_normal(self._seed, int(error), number) + (self._mean_uv if error else 0.0)
+        rng = np.random.default_rng([self._moment, 4, int(error), number])
+        gain = GAIN_UV * stratified_normal(self._moment, int(error), number) + (self._mean_uv if error else 0.0)
         visual, late = rng.normal(1, 0.15, 2)
         first = ceil((onset + RESPONSE_S[0]) * self.sfreq)
         last = floor((onset + RESPONSE_S[1]) * self.sfreq)

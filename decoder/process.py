@@ -22,6 +22,10 @@ SILENCE_S = 1.0
 """Real seconds without a sample after which the EEG counts as silent: moves are rejected (decided)."""
 LOST_S = 10.0
 """Real seconds of silence after which the run can't go on (decided)."""
+SAME_CLOCK_S = 0.005
+"""Seconds two streams of one host may seem apart: `time_correction` is good to 0.2 ms, more when a machine is busy."""
+CLOCK_S = 5.0
+"""Seconds the newest sample's stamp may be from now; buffers and networks delay by less (decided)."""
 LOOK_S = 3.0
 """Session seconds of EEG looked at before the decoder calls itself ready."""
 RATE_S = 10.0
@@ -87,15 +91,25 @@ class _Server:
                 f"Stream '{description.name}' delivers values that are not numbers (NaN) in: {names}. "
                 "Reconnect these electrodes or switch the channels off in the amplifier."
             )
+        self._check_clock(float(stamps[-1][-1]) if len(stamps[-1]) else float(np.concatenate(stamps)[-1]))
         check_rate(np.concatenate(stamps), description.sfreq, description.name, self._config.eeg.rate_tolerance)
+
+    def _check_clock(self, newest: float) -> None:
+        """LSL stamps are seconds of LSL's clock; some programs push the time of day or of the amplifier instead."""
+        now = self._peer.clock.to_session(local_clock() - self._eeg.clock_correction())
+        if abs(now - newest) > CLOCK_S * max(1.0, self._peer.clock.speed):
+            raise SetupError(
+                f"Stream '{self._eeg.description.name}' stamps its samples {newest - now:+.1f} s from LSL's clock, so "
+                "moves and EEG can't be brought together. Set its connector to LSL's own time stamps."
+            )
 
     def serve(self, stimulus: MessageInlet) -> None:
         """Judge moves until the session has ended and every move has its verdict."""
-        same_clock = stimulus.hostname == self._eeg.description.hostname
-        if not same_clock:
-            # The first measurement takes half a second, all later ones are at hand: take it before the first move.
-            stimulus.clock_correction(), self._eeg.clock_correction()
-        ended = False
+        # Two streams of one machine share its clock: their difference is exactly nothing. A name can be shared by two
+        # machines, though, so it is measured once: that takes half a second, all later measurements are at hand.
+        apart = stimulus.clock_correction() - self._eeg.clock_correction()
+        same_clock = stimulus.hostname == self._eeg.description.hostname and abs(apart) < SAME_CLOCK_S
+        ended, ended_at = False, 0.0
         while not ended or self._buffer.n_waiting:
             self._peer.say("ready", f"{self._buffer.n_waiting} epochs open")
             samples, times = self._eeg.pull(POLL_S)
@@ -104,11 +118,12 @@ class _Server:
             self._buffer.push(samples, times)
             for item in self._peer.hear(stimulus):
                 if isinstance(item.message, MoveOnset):
-                    # Two streams of one machine share its clock: their difference is exactly nothing.
                     offset = 0.0 if same_clock else stimulus.clock_correction() - self._eeg.clock_correction()
                     self._expect((item.message.episode, item.message.step), item.stamp, offset)
                 elif isinstance(item.message, SessionEnd):
-                    ended = True
+                    ended, ended_at = True, arrived
+            if ended and arrived - ended_at > LOST_S:
+                self._buffer.abandon("its samples never came")
             self._answer(arrived)
             self._check_rate(times)
 

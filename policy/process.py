@@ -63,18 +63,24 @@ class _Server:
 
     def listen(self, received: Sequence[Received]) -> None:
         for item in received:
-            match item.message:
-                case SessionStart() as start:
-                    self._check_map(start)
-                case EpisodeStart() as episode:
-                    self._answer(self.navigator.begin(episode), item.arrived)
-                case MoveOnset() as onset:
-                    self._onset_arrived = item.arrived
-                    self._answer(self.navigator.moved(onset), item.arrived)
-                case Verdict() as verdict:
-                    self._judged(verdict, item.arrived)
-                case SessionEnd():
-                    self.ended = True
+            try:
+                self._take(item)
+            except ValueError as error:  # a position that isn't on the map
+                self.peer.note("error", f"Refused {type(item.message).__name__}: {error}.")
+
+    def _take(self, item: Received) -> None:
+        match item.message:
+            case SessionStart() as start:
+                self._check_map(start)
+            case EpisodeStart() as episode:
+                self._answer(self.navigator.begin(episode), item.arrived)
+            case MoveOnset() as onset:
+                self._onset_arrived = item.arrived
+                self._answer(self.navigator.moved(onset), item.arrived)
+            case Verdict() as verdict:
+                self._judged(verdict, item.arrived)
+            case SessionEnd():
+                self.ended = True
 
     def expire(self) -> None:
         """A verdict that doesn't come is said to be missing, aloud."""
