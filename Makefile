@@ -26,7 +26,8 @@ test: lint
 	$(BIN)/pytest
 
 bench: setup
-	for script in benchmarks/*.py; do $(BIN)/python $$script || exit 1; done
+	$(BIN)/python benchmarks/decoder_chain_speed.py
+	$(BIN)/python benchmarks/policy_steps.py --episodes 300
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -41,7 +41,6 @@ class SessionStart(Message):
     n_episodes: int | None = None
     n_blocks: int | None = None
     n_moves: int | None = None
-    seed: int
 
 
 class BlockStart(Message):
@@ -109,6 +108,13 @@ class SessionEnd(Message):
     type: Literal["SessionEnd"] = "SessionEnd"
     reason: Literal["complete", "interrupted", "failed"]
     text: str = ""
+
+
+class RunSeed(Message):
+    """Truth stream only: the seed all goals and a calibration's errors follow from. Sent with `SessionStart`."""
+
+    type: Literal["RunSeed"] = "RunSeed"
+    seed: int
 
 
 class EpisodeGoal(Message):
@@ -206,6 +212,7 @@ AnyMessage = (
     | Pause
     | Resume
     | SessionEnd
+    | RunSeed
     | EpisodeGoal
     | Truth
     | Verdict

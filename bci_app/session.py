@@ -103,6 +103,7 @@ def conduct(plan: Plan, progress: Progress) -> Outcome:
     Raises SetupError or LinkLost; KeyboardInterrupt passes through after everything is closed. In each case what was
     recorded until then is readable and its sidecar says how the run ended.
     """
+    _log_to(plan.run.logs / "session.log")
     clock = session_clock(plan.speed)
     session = plan.session or f"{plan.run.stem.name}-{secrets.token_hex(3)}"
     config = _for_session(plan, session)
@@ -121,6 +122,13 @@ def conduct(plan: Plan, progress: Progress) -> Outcome:
     if conductor.missing:
         raise LinkLost(f"{plan.run.xdf} is not what was heard while it was recorded: {' '.join(conductor.missing)}")
     return conductor.outcome()
+
+
+def _log_to(path: Path) -> None:
+    """bci-app's own log goes where those of the processes are; what concerns the user is printed."""
+    handler = logging.FileHandler(path, encoding="utf-8")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
 
 
 def _for_session(plan: Plan, session: str) -> Config:
@@ -205,7 +213,11 @@ class _Conductor:
             self._listen(timeout=0.02)
             self.crew.check()
             if local_clock() - started > timeout:
-                raise LinkLost(f"Waited {timeout:g} s in vain for {what}: {self.heard.whereabouts()}")
+                raise LinkLost(
+                    f"Waited {timeout:g} s in vain for {what}: {self.heard.whereabouts()} "
+                    f"Look into {self.plan.run.logs}; streams that don't find each other are a firewall's doing, or of "
+                    "too many LSL sessions on one machine (ports 16572-16603)."
+                )
 
     def _record(self) -> None:
         eeg = describe(find_eeg(self.config.eeg, timeout=5.0))

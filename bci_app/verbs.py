@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
+from bci_app import metrics
 from bci_app.config import Config
 from bci_app.eeg import EegDescription
 from bci_app.errors import SetupError
@@ -14,6 +15,7 @@ from bci_app.heard import Outcome
 from bci_app.lsl import describe, find_eeg
 from bci_app.progress import Progress
 from bci_app.protocol import Role
+from bci_app.recording import read
 from bci_app.runs import check_label, new_run
 from bci_app.session import Plan, Task, conduct
 
@@ -94,7 +96,10 @@ def online(
     if not wishes.simulate:
         eeg = _look_at_eeg(wishes.config)
         fit_stream(model, eeg.name, eeg.picked, eeg.sfreq)
-    return _told(conduct(_plan(wishes, "online", map_name, path, card.path), progress)) | {
+    outcome = conduct(_plan(wishes, "online", map_name, path, card.path), progress)
+    figures = metrics.online([read(outcome.recording)]) if outcome.reason == "complete" else {}
+    return _told(outcome) | {
+        "figures": figures,
         "policy": card.name,
         "model": str(path),
         "cross_validated_accuracy": accuracy,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import rankdata
+from scipy.stats import binomtest, rankdata
 
 from bci_app.config import ClassifierConfig
 from bci_app.errors import SetupError
@@ -161,10 +161,8 @@ def score(log_odds: Array, error: Labels) -> Scores:
 
 def wilson(k: int, n: int) -> Estimate:
     """A share k / n with Wilson's score interval (doi:10.1080/01621459.1927.10502953)."""
-    share = k / n
-    centre = (share + Z95**2 / (2 * n)) / (1 + Z95**2 / n)
-    half = Z95 * sqrt(share * (1 - share) / n + Z95**2 / (4 * n**2)) / (1 + Z95**2 / n)
-    return Estimate(share, max(0.0, centre - half), min(1.0, centre + half))
+    low, high = binomtest(k, n).proportion_ci(method="wilson")
+    return Estimate(k / n, float(low), float(high))
 
 
 def auc(log_odds: Array, error: Labels) -> Estimate:

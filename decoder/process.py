@@ -72,6 +72,7 @@ class _Server:
         """Take a few seconds of EEG to see that the rate is right and all channels deliver numbers."""
         description = self._eeg.description
         stamps, bad = [np.empty(0)], np.zeros(len(description.picks), dtype=bool)
+        alive = False
         # Also so long that the very first move can have its epoch.
         wanted = max(LOOK_S * description.sfreq, self._judge.shape.n_before)
         while sum(map(len, stamps)) < wanted:
@@ -80,6 +81,7 @@ class _Server:
             self._buffer.push(samples, times)
             stamps.append(times)
             bad |= ~np.isfinite(samples).all(axis=0)
+            alive |= len(samples) > 0 and bool((samples != samples[:1]).any())
             self._last_sample = local_clock() if len(times) else self._last_sample
             if local_clock() - self._last_sample > LOST_S:
                 raise SetupError(
@@ -90,6 +92,10 @@ class _Server:
             raise SetupError(
                 f"Stream '{description.name}' delivers values that are not numbers (NaN) in: {names}. "
                 "Reconnect these electrodes or switch the channels off in the amplifier."
+            )
+        if not alive:
+            raise SetupError(
+                f"Stream '{description.name}' delivers a flat line on all channels. Connect the electrodes, or the cap."
             )
         self._check_clock(float(stamps[-1][-1]) if len(stamps[-1]) else float(np.concatenate(stamps)[-1]))
         check_rate(np.concatenate(stamps), description.sfreq, description.name, self._config.eeg.rate_tolerance)

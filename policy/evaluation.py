@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.stats import binomtest
 
 from bci_app.gridworld import GridWorld
 from policy.baselines import BayesFilter
@@ -142,9 +143,7 @@ def summarise(steps: Ints, limit: int = STEP_LIMIT) -> Result:
     )
 
 
-def wilson(success: Bools | NDArray[np.bool_], z: float = 1.96) -> tuple[float, float]:
+def wilson(success: Bools | NDArray[np.bool_]) -> tuple[float, float]:
     """Wilson's 95 % interval of a share (J. Am. Stat. Assoc. 22:209, 1927), from one bool an episode."""
-    n, share = len(success), float(np.mean(success))
-    centre = (share + z**2 / (2 * n)) / (1 + z**2 / n)
-    half = z / (1 + z**2 / n) * np.sqrt(share * (1 - share) / n + z**2 / (4 * n**2))
-    return float(max(centre - half, 0.0)), float(min(centre + half, 1.0))
+    low, high = binomtest(int(np.sum(success)), len(success)).proportion_ci(method="wilson")
+    return float(low), float(high)

@@ -179,6 +179,7 @@ class Plan:
     Attributes
     ----------
     opening : the first message.
+    seed : what the run's chances follow from.
     episodes : the episodes in their order; a calibration's never end.
     choose : the calibrating agent's action for (cell, goal); None when actions come from outside.
     moves_per_block : None for a run without blocks.
@@ -187,6 +188,7 @@ class Plan:
     """
 
     opening: SessionStart
+    seed: int
     episodes: Iterator[Episode]
     choose: Callable[[int, int], int] | None
     max_steps: int
@@ -212,14 +214,15 @@ def calibration_plan(
         layout=world.layout(),
         n_blocks=run.n_blocks,
         n_moves=run.n_blocks * run.moves_per_block,
-        seed=seed,
     )
 
     def choose(cell: int, goal: int) -> int:
         return calibration_action(world, cell, goal, rng, run.error_probability)
 
     episodes = random_episodes(world, rng)
-    return Plan(opening, episodes, choose, run.max_steps, run.n_blocks, run.moves_per_block, run.break_s, wait_for_key)
+    return Plan(
+        opening, seed, episodes, choose, run.max_steps, run.n_blocks, run.moves_per_block, run.break_s, wait_for_key
+    )
 
 
 def online_plan(run: OnlineConfig, world: GridWorld, session: str, participant: str, seed: int) -> Plan:
@@ -235,10 +238,9 @@ def online_plan(run: OnlineConfig, world: GridWorld, session: str, participant: 
         map=world.name,
         layout=world.layout(),
         n_episodes=len(episodes),
-        seed=seed,
     )
     ordered = iter([episodes[number] for number in episode_order(len(episodes), seed)])
-    return Plan(opening, ordered, None, run.max_steps)
+    return Plan(opening, seed, ordered, None, run.max_steps)
 
 
 def _draw(pairs: NDArray[np.int64], rng: Random) -> Episode:

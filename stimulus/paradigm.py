@@ -22,6 +22,7 @@ from bci_app.protocol import (
     Message,
     Pause,
     Resume,
+    RunSeed,
     SessionEnd,
 )
 from stimulus.episodes import Plan, Walk, calibration_plan, online_plan
@@ -181,6 +182,7 @@ class Paradigm:
         """Begin; does nothing once begun."""
         if self._phase is Phase.READY:
             self._send(self._plan.opening, now)
+            self._send(RunSeed(session=self.session, seed=self._plan.seed), now, "truth")
             self._begin_block(now)
 
     def key_start(self, now: float) -> None:

@@ -35,6 +35,7 @@ class ForeignAmplifier:
         unit: str | None = "microvolts",
         delivered: float | None = None,
         spoil: Callable[[np.ndarray], None] = lambda samples: None,
+        clock_s: float = 0.0,
     ) -> None:
         self.labels = LABELS if labels is None else labels
         info = pylsl.StreamInfo(name, "EEG", len(self.labels), sfreq, "float32", f"{name}-1")
@@ -51,6 +52,7 @@ class ForeignAmplifier:
         self._sent = 0
         self._rate = delivered or sfreq
         self._spoil = spoil
+        self._clock_s = clock_s
 
     def close(self) -> None:
         """Take the stream off the network, even where a failed test still holds this object."""
@@ -65,7 +67,7 @@ class ForeignAmplifier:
             samples = self._rng.normal(0, 10, (len(number), len(self.labels))).astype(np.float32)
             samples[:, 0] = number % 1000
             self._spoil(samples)
-            self._outlet.push_chunk(samples, (self._started + number / self._rate).tolist())
+            self._outlet.push_chunk(samples, (self._started + self._clock_s + number / self._rate).tolist())
             self._sent = due
         time.sleep(0.01)
 

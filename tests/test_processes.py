@@ -44,7 +44,7 @@ def test_a_foreign_stimulus_works_with_our_decoder_and_policy_and_nobody_opens_t
         verdicts, actions = stimulus.listen("bci-verdicts"), stimulus.listen("bci-actions")
         until(lambda: verdicts.is_ready() and actions.is_ready(), 40, "decoder and policy", amplifier.play)
         layout = ["." * 11] * 11
-        stimulus.say("SessionStart", task="online", participant="P", map="open", layout=layout, n_episodes=1, seed=0)
+        stimulus.say("SessionStart", task="online", participant="P", map="open", layout=layout, n_episodes=1)
         stimulus.raw("this is no message")
         cell, nothing = [5, 5], [False] * 5
         moves = {"north": (-1, 0), "south": (1, 0), "west": (0, -1), "east": (0, 1)}
@@ -137,6 +137,10 @@ def lab_config(folder: Path) -> Path:
     return path
 
 
+def flatten(samples: np.ndarray) -> None:
+    samples[:] = 7.0
+
+
 def spoil_one(samples: np.ndarray) -> None:
     samples[:, 3] = np.nan
 
@@ -150,6 +154,8 @@ def spoil_one(samples: np.ndarray) -> None:
         (lambda: [ForeignAmplifier(labels=["Cz", "Cz"])], "not unique"),
         (lambda: [ForeignAmplifier(delivered=200.0)], "says 250 Hz but delivers 200"),
         (lambda: [ForeignAmplifier(spoil=spoil_one)], "not numbers (NaN) in: F3"),
+        (lambda: [ForeignAmplifier(spoil=flatten)], "flat line on all channels"),
+        (lambda: [ForeignAmplifier(clock_s=1e5)], "from LSL's clock"),
     ],
 )
 def test_a_wrong_amplifier_is_refused_before_anything_starts(

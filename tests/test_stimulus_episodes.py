@@ -116,7 +116,7 @@ def test_plans_say_what_is_going_to_happen() -> None:
     calibration = calibration_plan(CalibrationConfig(), world, "s", "P001", 4, wait_for_key=False).opening
     assert (calibration.task, calibration.n_blocks, calibration.n_moves) == ("calibration", 5, 600)
     online = online_plan(OnlineConfig(), world, "s", "P001", 4).opening
-    assert (online.task, online.n_episodes, online.seed, online.map) == ("online", 19, 4, "open")
+    assert (online.task, online.n_episodes, online.map) == ("online", 19, "open")
     assert online.layout == world.layout()
 
 

@@ -21,6 +21,7 @@ from bci_app.protocol import (
     MoveOnset,
     Pause,
     Resume,
+    RunSeed,
     SessionEnd,
     SessionStart,
     Truth,
@@ -201,7 +202,7 @@ def test_truth_is_the_change_of_the_distance_and_errs_three_times_in_ten() -> No
 def test_nothing_on_the_stimulus_stream_tells_the_goal() -> None:
     runner = Runner(calibration(short(1, 40)))
     runner.all()
-    assert all(isinstance(out.message, EpisodeGoal | Truth) == (out.stream == "truth") for out in runner.sent)
+    assert all(isinstance(out.message, EpisodeGoal | RunSeed | Truth) == (out.stream == "truth") for out in runner.sent)
     for out in runner.of(MoveOnset):
         assert "goal" not in out.message.model_dump()
 
