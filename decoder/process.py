@@ -19,7 +19,10 @@ from decoder.timeline import check_rate, measured_rate
 POLL_S = 0.005
 """Longest real time a round waits for a sample before it looks for onsets again."""
 SILENCE_S = 1.0
-"""Real seconds without a sample after which the EEG counts as silent: moves are rejected (decided)."""
+"""Real seconds without a sample after which the EEG is said to be silent (decided)."""
+PATIENCE_S = 4.0
+"""Real seconds of silence after which moves that wait for samples are rejected: what comes late is not lost, but the
+policy waits no longer than 5 s for a verdict (decided)."""
 LOST_S = 10.0
 """Real seconds of silence after which the run can't go on (decided)."""
 SAME_CLOCK_S = 0.005
@@ -157,7 +160,7 @@ class _Server:
         elif not self._silent and now - self._last_sample > SILENCE_S:
             self._silent = True
             self._peer.note("error", f"No EEG sample for {SILENCE_S:g} s.")
-        if self._silent:
+        if now - self._last_sample > PATIENCE_S:
             self._buffer.abandon("the EEG stream is silent")
         if now - self._last_sample > LOST_S:
             raise LinkLost(f"No EEG sample for {LOST_S:g} s. Look at the amplifier; what was recorded is kept.")
