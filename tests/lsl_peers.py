@@ -54,6 +54,11 @@ class ForeignAmplifier:
         self._spoil = spoil
         self._clock_s = clock_s
 
+    def change_rate(self, delivered: float) -> None:
+        """From now on deliver another rate, stamps and all."""
+        shift = self._sent * (1 / self._rate - 1 / delivered)
+        self._started, self._rate = self._started + shift, delivered
+
     def close(self) -> None:
         """Take the stream off the network, even where a failed test still holds this object."""
         self._outlet = None

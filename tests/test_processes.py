@@ -192,6 +192,23 @@ def test_missing_channels_are_refused_and_reordered_ones_mended(tmp_path: Path, 
         assert json.loads(running.communicate()[0])["fit"]
 
 
+@pytest.mark.parametrize(
+    ("fault", "code", "says"), [("drifts", 2, "drifted from 250 Hz"), ("dies", 3, "No EEG sample")]
+)
+def test_an_amplifier_that_fails_in_the_middle_ends_the_decoder(fault: str, code: int, says: str) -> None:
+    stimulus = ForeignStimulus(fault)
+    with closing(ForeignAmplifier(f"Amp{fault}")) as amplifier, process("decoder", "--session", fault) as decoder:
+        verdicts = stimulus.listen("bci-verdicts")
+        until(verdicts.is_ready, 40, "the decoder", amplifier.play)
+        if fault == "drifts":
+            amplifier.change_rate(240.0)
+        keep_playing = amplifier.play if fault == "drifts" else lambda: None
+        until(lambda: decoder.poll() is not None, 60, "the decoder to end", keep_playing)
+        assert decoder.returncode == code
+        assert says in decoder.communicate()[1]
+        assert any(note["level"] == "error" for note in verdicts.of("Note"))
+
+
 @pytest.mark.parametrize("moment", ["while starting", "while running"])
 def test_ctrl_c_closes_the_recording(tmp_path: Path, moment: str) -> None:
     config = lab_config(tmp_path)
