@@ -5,10 +5,9 @@ chunk whose chunks start a little early or late; and stamps of arrival, 10 us ap
 the next (App-WearableSensing #4). All three must give the same epochs.
 """
 
-from math import sqrt
-
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
 
 from bci_app.errors import SetupError
 
@@ -16,8 +15,9 @@ Array = NDArray[np.float64]
 
 MAX_JITTER = 0.040
 """Seconds a stamp may lie off the line of its neighbours (decided: a little more than the worst known chunks)."""
-_JITTERED = 5  # stamps a second that come late by half a sample, above which a stretch counts as jittered
-_LEAST_CHUNKS = 3  # on each side of a gap between jittered chunks
+_ODD = 0.02  # samples: a step between stamps off by more is no clock's drift
+_EVEN = 4  # odd steps in a stretch, at most, for its stamps to count as even
+_CHANCE = 24.0  # scatters a single chunk may be late by chance (decided: under 1 % false gaps, see the tests)
 
 
 def measured_rate(times: Array) -> float:
@@ -76,48 +76,76 @@ def find_gap(times: Array, sfreq: float) -> tuple[int, float] | None:
 
     Notes
     -----
-    A stamp's residual from the even line stays the same while nothing is missing. Where a step between stamps is off
-    by more than half a sample, the medians of the residuals before and after are compared: they come back after a
-    chunk that was late, and don't after a lost sample. Where stamps come late all the time, only the last stamp of
-    each chunk is compared, since a chunk arrives when its last sample is there.
+    Stamps come late, never early. So the lowest residuals from the even line, the floor, hardly move while chunks come
+    late and catch up, but a lost sample lifts the floor for good. Compared are the floors of the second before and the
+    second after each place. Where stamps are even, any step of more than half a sample is a gap. Where they come late
+    all the time, a step must also be more than late chunks give by chance, which is little with many chunks each side.
+
+    Measured on stretches of 4.2 s (128 to 2048 Hz, drift to 100 ppm): one sample lost from even stamps is always found;
+    of late chunks, a loss of one chunk and at least 5 samples, 0.4 s from both ends, in 100 %. One sample lost from
+    late chunks, 1 s from both ends, is found in
+
+    ======================  ==============  ==============  ==============
+    lateness of a chunk     blocks of 1, 2  blocks of 5     blocks of 16
+    ======================  ==============  ==============  ==============
+    up to 1 ms              100 %           100 %           96 to 100 %
+    up to 5 ms              100 %           90 to 100 %     1 to 9 %
+    exponential, 1 ms       100 %           100 %           72 to 98 %
+    exponential, 3 ms       100 %           94 to 100 %     0 to 15 %
+    exponential, 10 ms      78 to 100 %     0 to 8 %        0 %
+    ======================  ==============  ==============  ==============
+
+    and from stamps of arrival every 35 +- 1 ms in 82 to 100 % to 500 Hz, 46 to 50 % at 1000 Hz, 5 to 12 % at 2048 Hz.
     """
-    uneven = np.flatnonzero(np.abs(np.diff(times) * sfreq - 1) > 0.5) + 1
-    if not len(uneven):
-        return None
     residual = (times - times[0]) * sfreq - np.arange(len(times))
-    ends = np.flatnonzero(np.diff(times) * sfreq > 1.5)  # the last samples of chunks, the next one being late
-    if len(ends) > _JITTERED * len(times) / sfreq:
-        step = _step_between_chunks(residual, ends, sfreq)
-    else:
-        step = _largest_step(residual, uneven, reach=max(1, round(0.1 * sfreq)))
-    return step if step is not None and abs(step[1]) > 0.5 else _stray(residual, sfreq)
-
-
-def _largest_step(
-    residual: Array, splits: NDArray[np.int64], reach: int, least: int = 1, scatter: float = 0.0
-) -> tuple[int, float] | None:
-    """The split with the largest step of the median over `reach` residuals, with at `least` so many on each side.
-
-    A step is only counted as far as it exceeds four times what residuals of this `scatter` give by chance.
-    """
-    worst = (0, 0.0)
-    for k in splits[(splits >= least) & (splits <= len(residual) - least)].tolist():
-        before, after = residual[max(0, k - reach) : k], residual[k : k + reach]
-        step = float(np.median(after) - np.median(before))
-        step = np.copysign(max(0.0, abs(step) - 4 * scatter * sqrt(1 / len(before) + 1 / len(after))), step)
-        worst = max(worst, (k, step), key=lambda place: abs(place[1]))
-    return worst if worst[1] else None
-
-
-def _step_between_chunks(residual: Array, ends: NDArray[np.int64], sfreq: float) -> tuple[int, float] | None:
-    """The largest step between chunks, given their last samples."""
-    if len(ends) < 2 * _LEAST_CHUNKS:
+    change = np.diff(residual)
+    if not np.any(np.abs(change) > 0.5):
         return None
-    of_chunks = residual[ends]
-    scatter = float(np.median(np.abs(np.diff(of_chunks))))
-    one_second = max(_LEAST_CHUNKS, round(len(ends) * sfreq / len(residual)))
-    step = _largest_step(of_chunks, np.arange(len(ends)), one_second, _LEAST_CHUNKS, scatter)
-    return (int(ends[step[0] - 1]) + 1, step[1]) if step else None
+    if np.count_nonzero(np.abs(change) > _ODD) > _EVEN:
+        gap = _gap_between_chunks(residual, np.flatnonzero(change > _ODD), sfreq)
+    else:
+        gap = _gap_in_even(residual, change, sfreq)
+    return gap or _stray(residual, sfreq)
+
+
+def _gap_in_even(residual: Array, change: Array, sfreq: float) -> tuple[int, float] | None:
+    """The largest step of the floor where `change`, from stamp to stamp, is odd; the clock's drift is taken out."""
+    level = residual - np.median(change) * np.arange(len(residual))
+    step = np.where(np.abs(change) > _ODD, _floor_steps(level, round(sfreq)), 0.0)
+    k = int(np.argmax(np.abs(step)))
+    return (k + 1, float(step[k])) if abs(step[k]) > 0.5 else None
+
+
+def _gap_between_chunks(residual: Array, last: NDArray[np.int64], sfreq: float) -> tuple[int, float] | None:
+    """The clearest step of the floor between chunks that come late, given the `last` sample of each.
+
+    A chunk arrives when its last sample is there, so that stamp is its lowest. The earliest of `n` chunks is late by
+    about ``1 / n`` of what one is. Samples after the last whole chunk are left out.
+    """
+    level = residual[last]
+    if len(level) < 2:
+        return None
+    reach = int(np.clip(round(len(level) * sfreq / len(residual)), 1, len(level) - 1))
+    step = _floor_steps(level, reach)
+    n_before = np.arange(1, len(level))
+    n_chunks = np.minimum(np.minimum(n_before, n_before[::-1]), reach)
+    excess = np.abs(step) - _CHANCE * _scatter(level, reach) / n_chunks
+    k = int(np.argmax(excess))
+    return (int(last[k]) + 1, float(step[k])) if excess[k] > 0.5 else None
+
+
+def _scatter(level: Array, reach: int) -> float:
+    """How far apart two chunks lie, in the median: neighbours, or half a `reach` apart where the level creeps."""
+    return max(float(np.median(np.abs(level[apart:] - level[:-apart]))) for apart in (1, max(1, reach // 2)))
+
+
+def _floor_steps(level: Array, reach: int) -> Array:
+    """The lowest of the `reach` levels after each place between two levels, less the lowest of those before it."""
+    shift = (reach - 1) // 2
+    before = minimum_filter1d(level, reach, mode="nearest", origin=shift)
+    after = minimum_filter1d(level[::-1], reach, mode="nearest", origin=shift)[::-1]
+    steps: Array = after[1:] - before[:-1]
+    return steps
 
 
 def _stray(residual: Array, sfreq: float) -> tuple[int, float] | None:

@@ -197,9 +197,12 @@ def test_a_late_onset_says_so_and_silence_can_be_called() -> None:
     buffer.push(samples, times)
     buffer.expect("late", 5010.0)
     buffer.expect("waiting", 5031.0)
-    assert "too late" in reason(buffer.poll()[0][1])
+    late = buffer.poll()[0][1]
+    assert "too late" in reason(late)
+    assert isinstance(late, Rejection)
+    assert late.by_time  # the samples don't tell: a replay takes it over
     buffer.abandon("the EEG is silent")
-    assert buffer.poll() == [("waiting", Rejection("the EEG is silent"))]
+    assert buffer.poll() == [("waiting", Rejection("the EEG is silent", by_time=True))]
     assert buffer.poll() == []
 
 
