@@ -1,7 +1,7 @@
 """Sample times as they came: the rate they give, the line they lie on, and the samples missing between them.
 
 Stamps are raw LSL stamps in seconds. Three kinds are met in practice: one even stamp a sample; even stamps within a
-chunk whose chunks start a little early or late; and stamps of arrival, 10 us apart within a chunk and then 35 ms to
+chunk whose chunks come a little late; and stamps of arrival, 10 us apart within a chunk and then 35 ms to
 the next (App-WearableSensing #4). All three must give the same epochs.
 """
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bci_app.config import ChainConfig
+from bci_app.config import ChainConfig, load
 from bci_app.errors import SetupError
 from decoder.chain import design, reference_features
 from decoder.operator import chain_operator, digest, features
@@ -152,7 +152,7 @@ def test_features_come_channel_by_channel() -> None:
 @pytest.mark.parametrize("settings_", [{"high_hz": 130.0}, {"low_hz": 60.0}, {"window_ms": 1.0}])
 def test_impossible_settings_are_refused(settings_: dict[str, float]) -> None:
     with pytest.raises(SetupError):
-        design(ChainConfig(**settings_), 500.0)
+        design(load(overrides={"chain": settings_}).chain, 500.0)
 
 
 def test_a_rate_too_slow_for_the_band_is_refused() -> None:

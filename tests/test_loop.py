@@ -206,7 +206,7 @@ def test_no_warning_was_needed(session: Session) -> None:
 
 def test_processes_are_four_and_meet_only_on_lsl(session: Session) -> None:
     logs = session.recording("open").with_name(session.recording("open").name.replace("_eeg.xdf", "_logs"))
-    assert {path.stem for path in logs.glob("*.log")} == {"stimulus", "decoder", "policy", "amplifier"}
+    assert {path.stem for path in logs.glob("*.log")} == {"stimulus", "decoder", "policy", "amplifier", "session"}
 
 
 def test_mne_reads_the_recording(session: Session) -> None:
