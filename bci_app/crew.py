@@ -56,10 +56,6 @@ class Crew:
         """Roles whose process is not running any more."""
         return {role for role, process in self._processes.items() if process.poll() is not None}
 
-    def pids(self) -> dict[str, int]:
-        """Process ids by role."""
-        return {role: process.pid for role, process in self._processes.items()}
-
     def end(self) -> None:
         """Ask those that still run to end, then wait; kill what doesn't listen."""
         for process in self._processes.values():

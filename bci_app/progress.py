@@ -4,7 +4,3 @@ from collections.abc import Callable
 
 Progress = Callable[[str, int, int], None]
 """Called with (what is going on, how much of it is done, how much there is)."""
-
-
-def silent(_what: str, _done: int, _total: int) -> None:
-    """For callers who don't want to know."""

@@ -38,8 +38,6 @@ from bci_app.recorder import Recorder
 from bci_app.recording import read
 from bci_app.runs import Run, checksum, versions, write_sidecar
 
-log = logging.getLogger(__name__)
-
 READY_TIMEOUT_S = 90.0
 """Real seconds all processes may take to be ready (the slowest loads torch)."""
 GROW_TIMEOUT_S = 10.0

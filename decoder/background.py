@@ -221,6 +221,7 @@ def bump(where: Array, centre: tuple[float, float, float], width: float) -> Arra
 
 
 def remember(cache: OrderedDict[int, Array], number: int, value: Array, n_kept: int = 3) -> None:
+    """Put a value into a cache that keeps the `n_kept` newest."""
     cache[number] = value
     while len(cache) > n_kept:
         cache.popitem(last=False)
