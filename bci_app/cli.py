@@ -1,23 +1,18 @@
 """The command `bci-app`. Each verb parses its words, calls one function and prints what came of it."""
 
-import json
 import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as RichProgress
 from typer.core import TyperGroup
 
 from bci_app import threads  # noqa: F401  isort: skip  -- before anything loads linear algebra
 from bci_app import config as configuration
-from bci_app import process_cli
+from bci_app import policy_cli, process_cli
 from bci_app.errors import LinkLost, SetupError
-from bci_app.progress import Progress
+from bci_app.terminal import finish, print_json, progress_bar
 
 INTERRUPTED = 130
 
@@ -89,7 +84,7 @@ def calibrate(
 
     settings = configuration.load(config, _overrides(headless, decodability, background, participant_seed))
     wishes = verbs.Wishes(settings, participant, visit, simulate, speed, seed, session, tuple(remote or ()))
-    with _progress(as_json) as progress:
+    with progress_bar(as_json) as progress:
         outcome = verbs.calibrate(wishes, progress)
     _finish_run(outcome, as_json, f"Next: bci-app fit {outcome['recording']}")
 
@@ -104,9 +99,9 @@ def fit(
     """Fit a decoder on a calibration and cross-validate it."""
     from bci_app import fitting
 
-    with _progress(as_json) as progress:
+    with progress_bar(as_json) as progress:
         result = fitting.fit(recording, configuration.load(config), allow_damage, progress)
-    _finish(result, as_json, "Next: bci-app online --participant ... --map open")
+    finish(result, as_json, "Next: bci-app online --participant ... --map open")
 
 
 @app.command(rich_help_panel="In the lab")
@@ -116,7 +111,8 @@ def online(
     visit: VisitOption = "S001",
     model: Annotated[Path | None, typer.Option("--model", help="Decoder; default: the participant's newest.")] = None,
     policy: Annotated[
-        str | None, typer.Option("--policy", help="Policy file, accuracy (0.75) or none; default: nearest to the CV.")
+        str | None,
+        typer.Option("--policy", help="told, accuracy, none, a file, or 0.75 ...; default: what suits the decoder."),
     ] = None,
     below_gate: Annotated[
         bool, typer.Option("--below-gate", help="Run although the decoder's accuracy is below the gate.")
@@ -139,7 +135,7 @@ def online(
 
     settings = configuration.load(config, _overrides(headless, decodability, background, participant_seed, no_errp))
     wishes = verbs.Wishes(settings, participant, visit, simulate, speed, seed, session, tuple(remote or ()))
-    with _progress(as_json) as progress:
+    with progress_bar(as_json) as progress:
         outcome = verbs.online(wishes, map_name, model, policy, below_gate, progress)
     _finish_run(outcome, as_json, f"Next: bci-app replay {outcome['recording']}")
 
@@ -155,9 +151,9 @@ def replay(
     """Run a recording through the same functions again and compare every verdict and action."""
     from bci_app import replay as replaying
 
-    with _progress(as_json) as progress:
+    with progress_bar(as_json) as progress:
         result = replaying.replay(recording, model, policy, allow_damage, progress)
-    _finish(result, as_json)
+    finish(result, as_json)
     if not replaying.is_equal(result):
         raise typer.Exit(1)
 
@@ -173,7 +169,7 @@ def doctor(
 
     result = doctoring.examine(configuration.load(config), model)
     if as_json:
-        _print_json(result)
+        print_json(result)
     else:
         doctoring.show(result, Console())
     if not result["fit"]:
@@ -193,10 +189,10 @@ def demo(
     from bci_app import demo as demonstration
 
     settings = configuration.load(config, _overrides(True, decodability, background, seed))
-    with _progress(as_json) as progress:
+    with progress_bar(as_json) as progress:
         summary = demonstration.run(settings, speed, seed, progress)
     if as_json:
-        _print_json(summary)
+        print_json(summary)
     else:
         demonstration.show(summary, Console())
     if not demonstration.is_good(summary):
@@ -228,44 +224,9 @@ def _overrides(
 
 def _finish_run(outcome: dict[str, Any], as_json: bool, hint: str) -> None:
     complete = outcome["reason"] == "complete"
-    _finish(outcome, as_json, hint if complete else "")
+    finish(outcome, as_json, hint if complete else "")
     if not complete:
         raise typer.Exit(INTERRUPTED)
-
-
-def _finish(result: dict[str, Any], as_json: bool, hint: str = "") -> None:
-    if as_json:
-        _print_json(result)
-        return
-    console = Console()
-    for key, value in result.items():
-        if isinstance(value, dict):
-            value = ", ".join(f"{name} {_short(item)}" for name, item in value.items() if not isinstance(item, dict))
-        console.print(f"{key}: {value}", markup=False, highlight=False, soft_wrap=True)
-    if hint:
-        console.print(hint, style="dim", markup=False, soft_wrap=True)
-
-
-def _short(value: Any) -> str:
-    return f"{value:.3f}" if isinstance(value, float) else str(value)
-
-
-def _print_json(result: dict[str, Any]) -> None:
-    typer.echo(json.dumps(result, indent=2))
-
-
-@contextmanager
-def _progress(quiet: bool) -> Iterator[Progress]:
-    """A bar with a time to go on stderr; none with --json or where nobody watches."""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with RichProgress(*columns, console=console, disable=quiet or not console.is_terminal) as bar:
-        task = bar.add_task("starting", total=None)
-
-        def report(what: str, done: int, total: int) -> None:
-            bar.update(task, description=what, completed=done, total=total)
-
-        yield report
 
 
 def _terminated(_signal: int, _frame: object) -> NoReturn:
@@ -280,4 +241,5 @@ def main() -> None:
     app()
 
 
+policy_cli.register(app)
 process_cli.register(app)

@@ -110,8 +110,11 @@ class ClassifierConfig(Section):
 class PolicyConfig(Section):
     """The policy server and the gate."""
 
-    gate_accuracy: Probability = 0.70
-    """Cross-validated accuracy below which the paper sends the participant home."""
+    choice: Literal["told", "accuracy"] = "told"
+    """The policy that is told the decoder's statistics, or the paper's: the one trained at the nearest accuracy."""
+    gate_accuracy: Probability = 0.55
+    """Cross-validated balanced accuracy below which an online run goes without verdicts, for they no longer help.
+    The paper sends participants home below 0.70 (plain accuracy)."""
     verdict_timeout_s: Annotated[float, Field(gt=0)] = 5.0
     """Real seconds without a verdict after which it is said to be missing (decided)."""
 

@@ -1,6 +1,7 @@
 """Recorded calibration in, decoder file out."""
 
 from collections import Counter
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,8 @@ from decoder.judge import Judge, judge_without
 def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> dict[str, Any]:
     """Fit a decoder on a recorded calibration and save it beside the recording.
 
-    Returns ``calibration`` (n_moves, n_valid, accuracy, balanced_accuracy, auc ...) and ``model``, the file's path.
-    Raises SetupError when the recording is unusable or holds too few valid epochs.
+    Returns ``calibration`` (n_moves, n_valid, accuracy, balanced_accuracy, auc, evidence ...) and ``model``, the file's
+    path. Raises SetupError when the recording is unusable or holds too few valid epochs.
     """
     progress("reading the recording", 0, 3)
     sidecar = read_sidecar(path)
@@ -57,7 +58,8 @@ def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> d
     target = _free_name(path)
     model.save(fitted, target)
     progress("done", 3, 3)
-    return {"calibration": _figures(result, moves, len(error)), "model": str(target)}
+    figures = {**_figures(result, moves, len(error)), "evidence": asdict(fitted.info.evidence)}
+    return {"calibration": figures, "model": str(target)}
 
 
 def labelled_features(recording: Recording, config: Config) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

@@ -78,6 +78,9 @@ def policy(
     session: SessionOption,
     map_name: Annotated[str, typer.Option("--map", help="open, obstacles or a map file.")],
     policy_file: Annotated[Path, typer.Option("--policy", help="Policy file (.safetensors).")],
+    told: Annotated[
+        str | None, typer.Option("--told", help="The decoder's HIT:CORRECT_REJECTION:BITS, for a policy told them.")
+    ] = None,
     config: ConfigOption = None,
     speed: SpeedOption = 1.0,
     origin: OriginOption = None,
@@ -86,12 +89,15 @@ def policy(
     """Choose the agent's moves from verdicts and what the agent senses."""
     from policy import checkpoint, process
     from policy.agent import Agent
+    from policy.told import Ear, Told
+    from policy.verdicts import Verdicts
 
     settings = _prepare(config)
     world = load_map(map_name)
     network, card = checkpoint.load(policy_file)
     checkpoint.check_fits(card, world)
-    process.run(settings.policy, session, session_clock(speed, origin), Agent(network, world), world, parent)
+    ear = Ear(Verdicts.parse(card.verdicts), Told.parse(told) if told else None)
+    process.run(settings.policy, session, session_clock(speed, origin), Agent(network, ear, world), world, parent)
 
 
 def amplifier(

@@ -9,7 +9,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-PROTOCOL_VERSION: Literal[1] = 1
+PROTOCOL_VERSION: Literal[2] = 2
+"""What we send. Version 1 is still read: it is the same without `Verdict.evidence`, and calibrations are kept in it."""
 
 Position = tuple[int, int]
 """(row, column), both from 0, row 0 in the north."""
@@ -26,7 +27,7 @@ class Message(BaseModel):
     """What all messages carry. Immutable; unknown fields are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    protocol: Literal[1] = PROTOCOL_VERSION
+    protocol: Literal[1, 2] = PROTOCOL_VERSION
     session: str
 
 
@@ -152,6 +153,9 @@ class Verdict(Message):
     """Rejected because of when things came, not of what is in the samples: a replay takes it over."""
     log_odds: float | None = None
     """Natural log of P(error)/P(correct) under the classifier's priors."""
+    evidence: float | None = None
+    """Calibrated log-likelihood ratio, natural log of P(log odds | error)/P(log odds | correct), within 10 of 0; None
+    where there is no verdict."""
     clock_offset: float
     """Seconds added to the onset's stamp to put it on the EEG stream's clock."""
     first_time: float | None = None
@@ -173,6 +177,8 @@ class Action(Message):
     probabilities: tuple[float, float, float, float]
     verdict: VerdictUsed
     """The verdict of the move before, as the policy took it; `missing` before the first move."""
+    evidence: float = 0.0
+    """What the policy took it for: natural log of P(verdict | error)/P(verdict | correct); 0 where it is missing."""
     latency_ms: float | None = None
     """Real milliseconds from the verdict's arrival (or the episode's start) to the push of this message."""
 

@@ -115,6 +115,8 @@ def _actions(
     from policy import checkpoint
     from policy.agent import Agent
     from policy.navigator import Navigator
+    from policy.told import Ear, Told
+    from policy.verdicts import Verdicts
 
     path = _file_of_run(recording.path, sidecar, "policy", policy)
     if path is None:
@@ -122,7 +124,9 @@ def _actions(
     network, card = checkpoint.load(path)
     world: GridWorld = compile_map("\n".join(opening.layout), opening.map)
     checkpoint.check_fits(card, world)
-    navigator = Navigator(Agent(network, world), world, opening.session)
+    told = sidecar.get("told")
+    ear = Ear(Verdicts.parse(card.verdicts), Told.parse(told) if told else None)
+    navigator = Navigator(Agent(network, ear, world), world, opening.session)
     recorded = {(action.episode, action.step): action for _, action in recording.of(Action)}
     unfinished = _last_of_aborted(recording)
     replayed = {pair.key: pair.replayed for pair in verdicts}
@@ -176,7 +180,7 @@ def _file_of_run(recording: Path, sidecar: dict[str, Any], what: str, given: Pat
 
 def _timeless(message: Verdict | Action) -> dict[str, Any]:
     # Exact comparison: equal floats here are equal bits, for neither zero's sign nor NaN can occur.
-    return message.model_dump(exclude={"latency_ms"})
+    return message.model_dump(exclude={"latency_ms", "protocol"})
 
 
 def _sentence(pair: Compared) -> str:

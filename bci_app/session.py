@@ -71,6 +71,7 @@ class Plan:
     task, map, seed : what the stimulus shows.
     simulate : whether a simulated participant takes part; only then may `speed` differ from 1.
     model, policy : files of the decoder and of the policy; None in a calibration.
+    told : what the policy is told of the decoder, as `policy.told.Told` in words.
     remote : roles started by hand on other machines.
     session : id the remote processes were started with; drawn when there are none.
     """
@@ -84,6 +85,7 @@ class Plan:
     speed: float = 1.0
     model: Path | None = None
     policy: Path | None = None
+    told: str | None = None
     remote: frozenset[Role] = frozenset()
     session: str | None = None
 
@@ -192,6 +194,7 @@ class _Conductor:
                 arguments += ["--model", str(self.plan.model)]
             case "policy":
                 arguments += ["--map", self.plan.map, "--policy", str(self.plan.policy)]
+                arguments += ["--told", self.plan.told] if self.plan.told else []
         return arguments
 
     def _connect(self) -> None:
@@ -343,6 +346,7 @@ class _Conductor:
                 "speed": self.clock.speed,
                 "model": _file(plan.model),
                 "policy": _file(plan.policy),
+                "told": plan.told,
                 "config": self.config.model_dump(mode="json"),
                 "versions": versions(),
             }

@@ -11,6 +11,7 @@ from bci_app.protocol import Verdict
 from decoder.chain import design
 from decoder.classifier import LinearClassifier
 from decoder.epochs import Epoch, Rejection, Shape
+from decoder.evidence import Evidence
 from decoder.model import DecoderModel, fit_stream
 from decoder.operator import chain_operator, digest, features
 
@@ -28,7 +29,7 @@ class Judge:
     shape : what an epoch must look like.
     order : (n_channels,), the decoder's channels as indices into the stream's EEG channels.
     operator : (n_raw, n_windows).
-    classifier : None in a calibration, when epochs are only checked.
+    classifier, evidence : None in a calibration, when epochs are only checked.
     """
 
     session: str
@@ -36,6 +37,7 @@ class Judge:
     order: NDArray[np.int64]
     operator: NDArray[np.float64]
     classifier: LinearClassifier | None
+    evidence: Evidence | None
 
     def features(self, epoch: Epoch) -> NDArray[np.float64]:
         """The epoch's features, (n_channels * n_windows,), uV."""
@@ -61,6 +63,7 @@ class Judge:
             step=key[1],
             outcome="unjudged" if log_odds is None else "error" if log_odds > 0 else "correct",
             log_odds=log_odds,
+            evidence=self.evidence.of(log_odds) if self.evidence and log_odds is not None else None,
             clock_offset=clock_offset,
             first_time=result.first_time,
             n_samples=result.n_samples,
@@ -73,11 +76,11 @@ def judge_with(model: DecoderModel, config: Config, eeg: EegDescription, session
     info = model.info
     order = fit_stream(model, eeg.name, eeg.picked, eeg.sfreq)
     shape = Shape(eeg.sfreq, info.n_before, info.n_after, config.eeg.max_uv)
-    return Judge(session, shape, order, model.operator, model.classifier)
+    return Judge(session, shape, order, model.operator, model.classifier, info.evidence)
 
 
 def judge_without(config: Config, eeg: EegDescription, session: str) -> Judge:
     """A judge for a calibration: all EEG channels, features but no verdict."""
     chain = design(config.chain, eeg.sfreq)
     shape = Shape(eeg.sfreq, chain.n_before, chain.n_after, config.eeg.max_uv)
-    return Judge(session, shape, np.arange(len(eeg.picks)), chain_operator(chain), None)
+    return Judge(session, shape, np.arange(len(eeg.picks)), chain_operator(chain), None, None)

@@ -20,12 +20,13 @@ from bci_app.errors import SetupError
 from decoder.calibration import Calibration
 from decoder.chain import Chain
 from decoder.classifier import LinearClassifier
+from decoder.evidence import Evidence, calibrate_evidence
 from decoder.montage import match_channels
 from decoder.operator import chain_operator
 
 Array = NDArray[np.float64]
 
-FORMAT_VERSION: Literal[1] = 1
+FORMAT_VERSION: Literal[2] = 2
 SUFFIX = ".safetensors"
 _KEY = "bci-app decoder"
 _LIBRARIES = ("numpy", "scipy", "scikit-learn", "mne", "errp-bci")
@@ -36,7 +37,7 @@ class ModelInfo(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    format: Literal[1] = FORMAT_VERSION
+    format: Literal[2] = FORMAT_VERSION
     participant: str
     channels: tuple[str, ...]
     sfreq: float = Field(gt=0)
@@ -52,6 +53,8 @@ class ModelInfo(BaseModel):
     tenfold: dict[str, Any]
     """`decoder.calibration.Scores` of stratified cross-validation; `blocked` of contiguous folds."""
     blocked: dict[str, Any]
+    evidence: Evidence
+    """From the log odds of stratified cross-validation, as `tenfold`."""
     recording_sha256: str
     """Of the calibration it was fitted on, or empty."""
     versions: dict[str, str]
@@ -102,6 +105,7 @@ def make_model(
         n_rejected=n_rejected,
         tenfold=calibration.tenfold.as_dict(),
         blocked=calibration.blocked.as_dict(),
+        evidence=calibrate_evidence(calibration.tenfold_log_odds, error),
         recording_sha256=recording_sha256,
         versions={"python": platform.python_version(), **{name: _version(name) for name in _LIBRARIES}},
     )
@@ -140,6 +144,11 @@ def load(path: Path) -> DecoderModel:
         info = ModelInfo.model_validate_json(_metadata(contents))
         return _assemble(info, tensors)
     except (SafetensorError, ValidationError, KeyError, ValueError) as error:
+        if _is_format_1(error):
+            raise SetupError(
+                f"{path} is a decoder of format 1, which doesn't tell what its verdicts are worth; this bci-app reads "
+                f"format {FORMAT_VERSION}. Run `bci-app fit` on the calibration again."
+            ) from error
         reason = _first_line(error)
         raise SetupError(
             f"{path} is no decoder of format {FORMAT_VERSION}, or is damaged ({reason}). Use the bci-app version that "
@@ -196,6 +205,13 @@ def _version(name: str) -> str:
         return version(name)
     except ImportError:
         return "unknown"
+
+
+def _is_format_1(error: Exception) -> bool:
+    if not isinstance(error, ValidationError):
+        return False
+    first = error.errors(include_url=False)[0]
+    return first["loc"] == ("format",) and first["input"] == 1
 
 
 def _first_line(error: Exception) -> str:

@@ -3,18 +3,25 @@
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar
 
-from safetensors import SafetensorError, safe_open
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load as deserialize
 from safetensors.torch import save as serialize
+from torch import Tensor
 
 from bci_app.errors import SetupError
 from bci_app.gridworld import GridWorld
-from policy.network import Network
-from policy.observation import LAYOUT
+from policy.network import HIDDEN, Actor, Network, PaperNetwork, ToldNetwork
+from policy.verdicts import Verdicts
 
 PRETRAINED = Path(__file__).parent / "pretrained"
-ENDING = ".safetensors"
+SUFFIX = ".safetensors"
+LAYOUTS = (Network.layout, ToldNetwork.layout, PaperNetwork.layout)
+_CARD = "card"
+Recipe = Literal["ours", "paper"]
+Trained = TypeVar("Trained", bound=Actor)
 
 
 @dataclass(frozen=True)
@@ -24,67 +31,127 @@ class PolicyCard:
     Attributes
     ----------
     map, map_digest : name and SHA-256 of the map it was trained on.
-    accuracy : probability of a right verdict in training; None for a policy without verdicts.
-    layout : name of the input layout.
-    n_inputs, n_cells : sizes of the network.
-    recipe : hyper-parameters, seed, versions and figures; free-form, for people.
+    verdicts : what it was trained with, as `Verdicts` in words: none, binary:P, or told for any decoder.
+    recipe : ours or the paper's.
+    layout : name of its inputs, and so its network.
+    n_cells, n_hidden : sizes of the network.
+    story : settings, versions and figures; free-form, for people.
     path : the file it was read from; not stored.
     """
 
     map: str
     map_digest: str
-    accuracy: float | None
+    verdicts: str
+    recipe: Recipe
     layout: str
-    n_inputs: int
     n_cells: int
-    recipe: dict[str, Any]
+    n_hidden: int
+    story: dict[str, Any]
     path: Path | None = None
 
     @property
     def name(self) -> str:
-        """Name of its file without the ending: the map, then ``none`` or the accuracy in percent."""
-        return f"{self.map}_{'none' if self.accuracy is None else f'{self.accuracy * 100:03.0f}'}"
+        """Name of its file without the ending."""
+        return policy_name(self.map, Verdicts.parse(self.verdicts), self.recipe)
+
+    @property
+    def accuracy(self) -> float | None:
+        """Accuracy of the binary verdicts it was trained with, if it was."""
+        verdicts = Verdicts.parse(self.verdicts)
+        return verdicts.numbers[0] if verdicts.kind == "binary" else None
 
 
-def save(path: Path, network: Network, card: PolicyCard) -> None:
-    """Write weights and card into one file."""
+def policy_name(map_name: str, verdicts: Verdicts, recipe: Recipe = "ours") -> str:
+    """The map; then ``none``, ``told``, the accuracy of binary verdicts in percent or the kind with its numbers."""
+    percent = "-".join(f"{number * 100:03.0f}" for number in verdicts.numbers)
+    kind = percent if verdicts.kind == "binary" else verdicts.kind + percent
+    return f"{map_name}_{kind}" + ("_paper" if recipe == "paper" else "")
+
+
+def pack(network: Actor, card: PolicyCard) -> bytes:
+    """The contents of a policy file; weights that are float16 numbers, as `rounded` makes them, take half the room."""
     fields = {key: value for key, value in asdict(card).items() if key != "path"}
+    weights = {name: _smallest(tensor.contiguous()) for name, tensor in network.state_dict().items()}
+    contents: bytes = serialize(weights, metadata={_CARD: json.dumps(fields, sort_keys=True)})
+    return contents
+
+
+def rounded(network: Trained) -> Trained:
+    """The network with its weights rounded to float16, in place; it goes on computing in float32."""
+    network.load_state_dict({name: tensor.half().float() for name, tensor in network.state_dict().items()})
+    return network
+
+
+def _smallest(tensor: Tensor) -> Tensor:
+    half = tensor.half()
+    return half if torch.equal(half.float(), tensor) else tensor
+
+
+def write(path: Path, contents: bytes) -> None:
+    """Write a file whole or not at all: one that is there is complete."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    weights = {name: tensor.contiguous() for name, tensor in network.state_dict().items()}
-    # Bytes, for save_file makes files that only their owner may read.
-    path.write_bytes(serialize(weights, metadata={"card": json.dumps(fields, sort_keys=True)}))
+    partial = path.with_name(path.name + ".partial")
+    partial.write_bytes(contents)
+    partial.replace(path)
+
+
+def metadata(contents: bytes) -> dict[str, str]:
+    """The texts in a safetensors header: 8 bytes of length, then JSON. ValueError or KeyError when there is none."""
+    header = json.loads(contents[8 : 8 + int.from_bytes(contents[:8], "little")])
+    found: dict[str, str] = header["__metadata__"]
+    return found
 
 
 def read_card(path: Path) -> PolicyCard:
     """The card of a policy file; SetupError when it is no policy file."""
-    try:
-        with safe_open(path, framework="pt") as file:
-            return PolicyCard(**json.loads((file.metadata() or {})["card"]), path=path)
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
-        raise SetupError(
-            f"'{path}' must be a policy file written by `python -m policy`, but can't be read as one ({error}). "
-            "Choose another file or train the policy again."
-        ) from error
+    return _card(_contents(path), str(path), path)
 
 
-def load(path: Path) -> tuple[Network, PolicyCard]:
-    """Network and card of a policy file.
+def load(path: Path) -> tuple[Actor, PolicyCard]:
+    """Network and card of a policy file; errors as `unpack`'s, and SetupError when there is no such file."""
+    return unpack(_contents(path), str(path), path)
 
-    Raises SetupError when it is no policy file, or its input layout isn't this program's.
+
+def unpack(contents: bytes, name: str, path: Path | None = None) -> tuple[Actor, PolicyCard]:
+    """Network and card from the contents of a policy file; ``name`` stands in errors.
+
+    Raises SetupError when it is no policy file, is damaged, or has inputs this program doesn't know.
     """
-    card = read_card(path)
-    if card.layout != LAYOUT:
-        raise SetupError(
-            f"Policy '{path}' must read the input layout '{LAYOUT}', but was trained on '{card.layout}'. "
-            "Use the program version it was trained with, or train it again."
-        )
-    network = Network(card.n_inputs, card.n_cells)
+    card = _card(contents, name, path)
     try:
-        with safe_open(path, framework="pt") as file:
-            network.load_state_dict({name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118
-    except (RuntimeError, SafetensorError) as error:
-        raise SetupError(f"Policy '{path}' has weights of another network ({error}). Train it again.") from error
+        if card.layout == Network.layout:
+            network: Actor = Network(card.n_cells, card.n_hidden)
+        elif card.layout == PaperNetwork.layout and card.n_hidden == HIDDEN:
+            network = PaperNetwork(card.n_cells)
+        else:
+            raise SetupError(
+                f"Policy '{name}' must read the inputs '{Network.layout}' or '{PaperNetwork.layout}', but was trained "
+                f"on '{card.layout}'. Use the program version it was trained with, or train it again."
+            )
+        network.load_state_dict({name: tensor.float() for name, tensor in deserialize(contents).items()})
+    except (RuntimeError, TypeError, ValueError, SafetensorError) as error:
+        raise SetupError(f"Policy '{name}' has weights of another network ({error}). Train it again.") from error
     return network.eval(), card
+
+
+def _contents(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise SetupError(f"Can't read the policy '{path}' ({error}). Give the path of a policy file.") from error
+
+
+def _card(contents: bytes, name: str, path: Path | None) -> PolicyCard:
+    try:
+        deserialize(contents)  # a header alone may be whole where the weights behind it are not
+        card = PolicyCard(**json.loads(metadata(contents)[_CARD]), path=path)
+        Verdicts.parse(card.verdicts)
+    except (SafetensorError, KeyError, TypeError, ValueError, SetupError) as error:
+        raise SetupError(
+            f"'{name}' must be a policy written by `bci-app train`, but can't be read as one ({error}). Choose another "
+            "file or train the policy again."
+        ) from error
+    return card
 
 
 def check_fits(card: PolicyCard, world: GridWorld) -> None:
@@ -93,35 +160,44 @@ def check_fits(card: PolicyCard, world: GridWorld) -> None:
         raise SetupError(
             f"Policy '{card.name}' was trained on map '{card.map}' (digest {card.map_digest[:12]}), but the session's "
             f"map is '{world.name}' (digest {world.digest[:12]}). Choose a policy of this map or train one: "
-            f"python -m policy --map {world.name} --accuracy 0.75"
+            f"bci-app train --map {world.name}"
         )
 
 
 def library(folder: Path = PRETRAINED) -> list[PolicyCard]:
     """Cards of all policies in a folder, by default the shipped ones, ordered by file name."""
-    return [read_card(path) for path in sorted(folder.glob(f"*{ENDING}"))]
+    return [read_card(path) for path in sorted(folder.glob(f"*{SUFFIX}")) if not path.stem.endswith("_teacher")]
 
 
-def choose(accuracy: float | None, world: GridWorld, folder: Path = PRETRAINED) -> PolicyCard:
+def choose_told(world: GridWorld, folder: Path = PRETRAINED) -> PolicyCard:
+    """The policy of this map that is told its decoder's statistics. Raises SetupError when there is none."""
+    return _first([card for card in _fitting(world, folder) if card.verdicts == "told"], world, "told", folder)
+
+
+def choose_without(world: GridWorld, folder: Path = PRETRAINED) -> PolicyCard:
+    """The policy of this map without verdicts. Raises SetupError when there is none."""
+    return _first([card for card in _fitting(world, folder) if card.verdicts == "none"], world, "none", folder)
+
+
+def choose_by_accuracy(accuracy: float, world: GridWorld, folder: Path = PRETRAINED) -> PolicyCard:
     """The policy of this map trained at the accuracy nearest to the decoder's (paper V.B.2: 78 % -> 0.80).
 
-    Of two equally near the lower one: it trusts the verdicts less. ``None`` asks for the policy without verdicts,
-    which no accuracy ever selects. Raises SetupError when there is none.
+    Of two equally near the lower one: it trusts the verdicts less. Raises SetupError when there is none.
     """
-    fitting = [card for card in library(folder) if card.map_digest == world.digest]
-    if accuracy is None:
-        without = [card for card in fitting if card.accuracy is None]
-        return _first(without, world, "without verdicts", folder)
-    trained = [card for card in fitting if card.accuracy is not None]
+    trained = [(card.accuracy, card) for card in _fitting(world, folder) if card.accuracy is not None]
     # Rounded, for 0.75 - 0.725 and 0.725 - 0.70 differ in binary.
-    trained.sort(key=lambda card: (round(abs((card.accuracy or 0) - accuracy), 9), card.accuracy))
-    return _first(trained, world, "with verdicts", folder)
+    trained.sort(key=lambda item: (round(abs(item[0] - accuracy), 9), item[0]))
+    return _first([card for _, card in trained], world, "binary:0.75", folder)
 
 
-def _first(cards: list[PolicyCard], world: GridWorld, kind: str, folder: Path) -> PolicyCard:
+def _fitting(world: GridWorld, folder: Path) -> list[PolicyCard]:
+    return [card for card in library(folder) if card.map_digest == world.digest and card.recipe == "ours"]
+
+
+def _first(cards: list[PolicyCard], world: GridWorld, verdicts: str, folder: Path) -> PolicyCard:
     if cards:
         return cards[0]
     raise SetupError(
-        f"No policy {kind} for map '{world.name}' in {folder}. Train one: "
-        f"python -m policy --map {world.name} --out {folder}"
+        f"No policy of the kind '{verdicts}' for map '{world.name}' in {folder}. Train one: bci-app train --map "
+        f"{world.name} --verdicts {verdicts} --out {folder}"
     )

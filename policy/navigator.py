@@ -52,7 +52,7 @@ class Navigator:
 
     def missing(self) -> Action | None:
         """Give up waiting for the verdict of the last move: it is said to be missing."""
-        return self._step("missing") if self._onset is not None else None
+        return self._step("missing", None) if self._onset is not None else None
 
     @property
     def in_episode(self) -> bool:
@@ -75,16 +75,16 @@ class Navigator:
         verdict = self._verdicts.get(self._decided) if self._onset else None
         if verdict is None:
             return None
-        return self._step(used(verdict))
+        return self._step(used(verdict), verdict.evidence)
 
-    def _step(self, verdict: VerdictUsed) -> Action | None:
+    def _step(self, verdict: VerdictUsed, said: float | None) -> Action | None:
         assert self._onset is not None
         assert self._episode is not None
         onset, self._onset = self._onset, None
         cell = self.world.cell_at(*onset.position)
         if onset.sensed[0] or onset.step >= self._episode.max_steps:
             return None
-        decision = self.agent.step(ACTIONS.index(onset.action), cell, onset.sensed, verdict)
+        decision = self.agent.step(ACTIONS.index(onset.action), cell, onset.sensed, verdict, said)
         self._decided = onset.step + 1
         return self._action(decision, verdict)
 
@@ -98,6 +98,7 @@ class Navigator:
                 "action": ACTIONS[decision.action],
                 "probabilities": decision.probabilities,
                 "verdict": verdict,
+                "evidence": decision.evidence,
             }
         )
 

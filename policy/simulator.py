@@ -4,14 +4,15 @@ Nothing here knows a network. A simulator is deterministic from its random gener
 """
 
 from dataclasses import dataclass
-from typing import Literal, Self, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bci_app.errors import SetupError
-from bci_app.gridworld import GridWorld
-from policy.observation import MISSING, NO_ACTION, STEP_LIMIT, View, sensed_table
+from bci_app.gridworld import N_ACTIONS, GridWorld
+from policy.observation import STEP_LIMIT, View, sense_codes
+from policy.verdicts import Decoders, Resampled
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -21,41 +22,6 @@ Distribution = Literal["pairs", "distances", "mixture"]
 DISTRIBUTIONS: tuple[Distribution, ...] = get_args(Distribution)
 MIN_DISTANCE = 2  # the initial distance is more than one (paper IV.C)
 MAX_DISTANCE = 20  # one online episode for each initial distance 2..20 (paper IV.C)
-
-
-@dataclass(frozen=True)
-class VerdictModel:
-    """A simulated decoder: each verdict is drawn on its own from the truth of the move.
-
-    Attributes
-    ----------
-    hit : probability that an error is called an error.
-    correct_rejection : probability that a correct move is called correct.
-    missing : probability that there is no verdict at all.
-    """
-
-    hit: float
-    correct_rejection: float
-    missing: float = 0.0
-
-    @classmethod
-    def right(cls, accuracy: float, missing: float = 0.0) -> Self:
-        """The paper's model: right with one probability, whatever the truth (paper IV.B)."""
-        return cls(accuracy, accuracy, missing)
-
-    def draw(self, error: Bools, rng: np.random.Generator) -> Ints:
-        """Draw verdicts, int64, -1 correct, +1 error, 0 missing, for truths ``error`` of the same shape."""
-        says_error = rng.random(error.shape) < np.where(error, self.hit, 1 - self.correct_rejection)
-        missing = rng.random(error.shape) < self.missing
-        return np.where(missing, MISSING, np.where(says_error, 1, -1))
-
-    def likelihood(self) -> Floats:
-        """P(verdict | truth), (3, 2): rows missing, error, correct (so ``verdict`` indexes it), columns truth."""
-        return np.array([[1.0, 1.0], [1 - self.correct_rejection, self.hit], [self.correct_rejection, 1 - self.hit]])
-
-
-NO_VERDICTS = VerdictModel(0.5, 0.5, missing=1.0)
-COIN_FLIPS = VerdictModel(0.5, 0.5)
 
 
 def pair_weights(world: GridWorld, distribution: Distribution) -> Floats:
@@ -76,6 +42,32 @@ def pair_weights(world: GridWorld, distribution: Distribution) -> Floats:
         count = np.bincount(world.distance.ravel())
         weight = np.where(far & (world.distance <= MAX_DISTANCE), 1 / count[world.distance], 0.0)
     return weight / float(weight.sum())
+
+
+class Pairs:
+    """Draws starts and goals.
+
+    Parameters
+    ----------
+    weights : (n_cells, n_cells), probability of each start and goal, as ``pair_weights`` gives.
+    """
+
+    def __init__(self, weights: Floats) -> None:
+        self._cumulative = np.cumsum(weights)
+        self._n_cells = len(weights)
+
+    def draw(self, n: int, rng: np.random.Generator) -> tuple[Ints, Ints]:
+        """``n`` starts and as many goals."""
+        return self._at(rng.random(n))
+
+    def spread(self, n: int, rng: np.random.Generator) -> tuple[Ints, Ints]:
+        """``n`` starts and goals, each pair as nearly as often as it should be: less noise in the means over them."""
+        return self._at((np.arange(n) + rng.random(n)) / n)
+
+    def _at(self, quantiles: Floats) -> tuple[Ints, Ints]:
+        pair = np.searchsorted(self._cumulative, quantiles * self._cumulative[-1], side="right")
+        start, goal = np.divmod(np.minimum(pair, self._n_cells**2 - 1), self._n_cells)
+        return start, goal
 
 
 @dataclass(frozen=True)
@@ -101,9 +93,8 @@ class Simulator:
     Parameters
     ----------
     world : the map.
-    n : number of episodes in parallel.
-    weights : (n_cells, n_cells), probability of each start and goal, as ``pair_weights`` gives.
-    verdicts : the simulated decoder.
+    start, goal : (n,), where the episodes begin and end.
+    decoders : the simulated decoder of each.
     rng : all randomness comes from here.
     limit : steps after which an episode is truncated; 60 in the experiment (paper IV.C).
     """
@@ -111,48 +102,63 @@ class Simulator:
     def __init__(
         self,
         world: GridWorld,
-        n: int,
-        weights: Floats,
-        verdicts: VerdictModel,
+        start: Ints,
+        goal: Ints,
+        decoders: Decoders | Resampled,
         rng: np.random.Generator,
         limit: int = STEP_LIMIT,
     ) -> None:
-        self.world, self.n, self.verdicts, self.rng, self.limit = world, n, verdicts, rng, limit
-        self._cumulative = np.cumsum(weights)
-        self._sensed = sensed_table(world)
-        self.cell, self.goal = np.zeros(n, np.int64), np.zeros(n, np.int64)
-        self.action, self.verdict = np.zeros(n, np.int64), np.zeros(n, np.int64)
+        self.world, self.decoders, self.rng, self.limit = world, decoders, rng, limit
+        self._next = world.next_cell.ravel()
+        # 8 bits an entry: the tables of a map then stay in the processor's first cache.
+        self._distance = world.distance.ravel().astype(np.uint8 if world.distance.max() < 256 else np.uint16)
+        self._senses = sense_codes(world).ravel().astype(np.uint8)
+        n = len(start)
+        self.start, self.cell, self.goal = start.copy(), start.copy(), goal.copy()
+        self.move = np.zeros(n, np.int64)
+        self.evidence, self.step_number = np.zeros(n, np.float32), np.zeros(n, np.int64)
         self.visited = np.zeros((n, world.n_cells), bool)
-        self.step_number = np.zeros(n, np.int64)
-        self.restart(np.ones(n, bool))
+        self._left = self._distance[self.cell * world.n_cells + self.goal]
+        self.begin(np.ones(n, bool), start, goal)
 
-    def restart(self, which: Bools) -> None:
-        """Begin the episodes of the mask ``which``, (n,), at a new start and goal."""
-        draws = self.rng.random(int(which.sum())) * self._cumulative[-1]
-        pair = np.searchsorted(self._cumulative, draws, side="right")
-        self.begin(which, *np.divmod(pair, self.world.n_cells))
+    @property
+    def n(self) -> int:
+        """Number of episodes."""
+        return len(self.cell)
 
-    def begin(self, which: Bools, start: Ints, goal: Ints) -> None:
+    def begin(self, which: Bools, start: Ints, goal: Ints, decoders: Decoders | None = None) -> None:
         """Begin the episodes of the mask ``which`` at given starts and goals, one each per true entry."""
-        self.cell[which], self.goal[which] = start, goal
-        self.action[which], self.verdict[which], self.step_number[which] = NO_ACTION, MISSING, 0
+        self.start[which], self.cell[which], self.goal[which] = start, start, goal
+        self.move[which] = self.world.n_cells * N_ACTIONS + start
+        self.evidence[which], self.step_number[which] = 0, 0
         self.visited[which] = False
-        self.visited[np.arange(self.n), self.cell] = True
+        self.visited[np.flatnonzero(which), start] = True
+        self._left[which] = self._distance[start * self.world.n_cells + goal]
+        if decoders is not None:
+            self.decoders.put(which, decoders)  # type: ignore[arg-type]
 
     def step(self, action: Ints) -> Outcome:
         """Move every episode by its action, (n,)."""
-        distance = self.world.distance
-        before = distance[self.cell, self.goal]
-        self.cell = self.world.next_cell[self.cell, action]
-        error = distance[self.cell, self.goal] > before
-        self.verdict = self.verdicts.draw(error, self.rng)
-        self.action = action.copy()
+        self.move = self.cell * N_ACTIONS + action
+        self.cell = self._next[self.move]
+        left = self._distance[self.cell * self.world.n_cells + self.goal]
+        error = left > self._left
+        self._left = left
+        self.evidence = self.decoders.evidence(error, self.rng)
         self.visited[np.arange(self.n), self.cell] = True
         self.step_number += 1
-        terminated = self.cell == self.goal
+        terminated = left == 0
         return Outcome(terminated, ~terminated & (self.step_number >= self.limit), error)
 
     def view(self) -> View:
-        """What the agents perceive now. It shares memory with the simulator: encode it before the next step."""
-        sensed = self._sensed[self.cell, self.goal]
-        return View(self.verdict, sensed, self.action, self.visited, self.cell, self.step_number)
+        """What the agents perceive now. It shares memory with the simulator: use it before the next step."""
+        sensed = self._senses[self.cell * self.world.n_cells + self.goal]
+        return View(
+            self.move, self.cell, self.evidence, sensed, self.visited, self.step_number, self.decoders.information
+        )
+
+    def keep(self, which: Bools) -> None:
+        """Go on with the episodes of the mask ``which`` only."""
+        self.decoders = self.decoders.take(which)
+        for name in ("start", "cell", "goal", "move", "evidence", "step_number", "visited", "_left"):
+            setattr(self, name, getattr(self, name)[which])

@@ -1,175 +1,183 @@
-"""Training one policy: a warm start that imitates the Bayes filter, then advantage actor-critic.
+"""Training one policy from start to finish: a job in, the contents of a policy file out.
 
-Read top-down: hyper-parameters, advantages, losses, the loop.
+A job runs in any process, on any machine, and knows no folder.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
+from time import perf_counter
+from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
-from torch.nn import functional
 
-from bci_app.gridworld import GridWorld
-from policy.network import Critic, Network, action_log_probabilities
-from policy.observation import input_size
-from policy.rollout import Collector, Rollout
-from policy.simulator import NO_VERDICTS, Distribution, VerdictModel, pair_weights
+from bci_app.gridworld import load_map
+from policy import teachers
+from policy.actor_critic import ActorCriticSettings, train_actor_critic
+from policy.checkpoint import PolicyCard, Recipe, pack, policy_name, rounded, unpack
+from policy.distillation import DistillationSettings, distil
+from policy.evaluation import NetworkPlayer, evaluate
+from policy.network import Actor, Network, PaperNetwork, ToldNetwork
+from policy.observation import STEP_LIMIT
+from policy.planner import PlannerSettings
+from policy.recitation import RecitationSettings, recite
+from policy.simulator import Distribution
+from policy.verdicts import Verdicts
 
+MISSING = 0.03
+"""Share of missing verdicts in training, as artefacts cause; the policy that is told all kinds meets up to 0.3."""
+CURVE_POINTS = 100
+"""Of a learning curve: moves played, and mean steps of an episode meanwhile."""
+TESTED: tuple[Distribution, ...] = ("pairs", "distances")
+TEST_EPISODES = 5000
+"""Episodes its card's figures are of."""
 
-@dataclass(frozen=True)
-class HyperParameters:
-    """The recipe of one policy; stored beside its weights."""
-
-    seed: int = 0
-    """Of weights, episodes, verdicts and actions."""
-    n_episodes: int = 512
-    """Episodes played in parallel."""
-    n_steps: int = 20
-    """Steps of each between updates, and the length of back-propagation through time."""
-    warm_minibatches: int = 16
-    """Gradient steps an update of the warm start; each takes some of the episodes, never a part of time."""
-    n_minibatches: int = 4
-    """The same afterwards: policy gradients are noisier and want larger batches."""
-    warm_updates: int = 350
-    """Updates that imitate the Bayes filter's moves, before reinforcement."""
-    updates: int = 550
-    """All updates, the warm ones included."""
-    distribution: Distribution = "mixture"
-    """Starts and goals: half like random episodes, half like the experiment's, so that far goals are learnt."""
-    missing: float = 0.03
-    """Share of missing verdicts, as artefacts cause."""
-    learning_rate: float = 3e-3
-    """Adam's, falling linearly to a twentieth."""
-    discount: float = 0.98
-    """Of the reward a step."""
-    trace: float = 0.9
-    """TD(lambda): 0 trusts the critic, 1 the returns."""
-    epsilon_first: float = 0.5
-    """Share of uniform actions at the beginning (paper IV.B)."""
-    epsilon_last: float = 0.02
-    """The same after the warm start (0.05 in the paper)."""
-    clip: float = 0.2
-    """Largest relative change of an action's probability an update rewards; one minibatch makes it plain A2C."""
-    entropy: float = 0.003
-    """Weight of the entropy bonus."""
-    goal_weight: float = 0.3
-    """Weight of the auxiliary head that learns the filter's belief."""
-    max_gradient: float = 1.0
-    """Norm at which the gradient is clipped."""
-
-
-Progress = Callable[[int, dict[str, float]], None]
-"""Called after each update with its number, from 1, and its figures."""
-
-
-def verdict_model(accuracy: float | None, missing: float) -> VerdictModel:
-    """The simulated decoder of a policy: right with probability ``accuracy``, or None for no verdicts."""
-    return NO_VERDICTS if accuracy is None else VerdictModel.right(accuracy, missing)
-
-
-def advantages(rollout: Rollout, discount: float, trace: float) -> Tensor:
-    """Generalised advantage estimates, (n_steps, n): TD(lambda) returns minus the values."""
-    surprise = rollout.rewards + discount * rollout.next_values - rollout.values
-    decay = discount * trace * (~rollout.ended).float()
-    result = torch.zeros_like(surprise)
-    following = torch.zeros_like(surprise[0])
-    for step in reversed(range(len(surprise))):
-        following = surprise[step] + decay[step] * following
-        result[step] = following
-    return result
+Progress = Callable[[int, int, str], None]
+"""Called with updates done, updates in all, and a word on how it goes."""
 
 
 @dataclass(frozen=True)
-class Losses:
-    """Scalars of one minibatch, and the ratio of new to old action probabilities, (n_steps, n)."""
+class TeacherJob:
+    """Train the teacher of one map."""
 
-    actor: Tensor
-    imitation: Tensor
-    critic: Tensor
-    goal: Tensor
-    entropy: Tensor
-    ratio: Tensor
+    map: str
+    settings: PlannerSettings = field(default_factory=PlannerSettings)
 
+    @property
+    def name(self) -> str:
+        """For people."""
+        return f"{load_map(self.map).name} teacher"
 
-def losses(network: Network, critic: Critic, rollout: Rollout, advantage: Tensor, which: Tensor, clip: float) -> Losses:
-    """All losses on the episodes ``which``, int64, (n_minibatch,)."""
-    logits, goal_logits = network.unroll(
-        rollout.inputs[:, which], rollout.hidden[which], rollout.episode_starts[:, which]
-    )
-    legal = rollout.legal[:, which]
-    log_all = action_log_probabilities(logits, legal, rollout.epsilon)
-    log_taken = log_all.gather(2, rollout.actions[:, which, None])[:, :, 0]
-    ratio = (log_taken - rollout.log_probabilities[:, which]).exp()
-    gain = advantage[:, which]
-    scaled = (gain - gain.mean()) / (gain.std() + 1e-8)
-    surrogate = torch.minimum(ratio * scaled, ratio.clamp(1 - clip, 1 + clip) * scaled)
-    plain = action_log_probabilities(logits, legal, 0.0)
-    values = critic(rollout.states[:, which])
-    return Losses(
-        actor=-surrogate.mean(),
-        imitation=functional.nll_loss(plain.flatten(0, 1), rollout.taught[:, which].flatten()),
-        critic=functional.mse_loss(values, gain + rollout.values[:, which]),
-        goal=-(rollout.beliefs[:, which] * torch.log_softmax(goal_logits, dim=2)).sum(dim=2).mean(),
-        entropy=-(log_all.exp() * log_all.masked_fill(~legal, 0.0)).sum(dim=2).mean(),
-        ratio=ratio,
-    )
+    @property
+    def cost(self) -> float:
+        """Moves to play: what the jobs' times go by."""
+        return float(self.settings.updates * self.settings.n_steps * self.settings.n_episodes)
+
+    def run(self, progress: Progress = lambda done, of, word: None) -> bytes:
+        """The contents of a teacher file."""
+        _one_thread()
+
+        def show(update: int, figures: dict[str, float]) -> None:
+            progress(update, self.settings.updates, f"{figures['steps']:.1f} steps an episode")
+
+        return teachers.make(load_map(self.map), self.settings, show)
 
 
-def train(
-    world: GridWorld,
-    accuracy: float | None,
-    settings: HyperParameters,
-    progress: Progress = lambda update, figures: None,
-    start: Network | None = None,
-) -> Network:
-    """Train a policy for one map and one accuracy of the verdicts, None for no verdicts at all.
+@dataclass(frozen=True)
+class PolicyJob:
+    """Train one policy.
 
-    ``start`` is a network to go on from; else weights are drawn from the seed.
+    Attributes
+    ----------
+    map : a shipped map or the path of a map file.
+    verdicts : what to train with.
+    settings : of the recipe, which they thereby choose: recitation of the search, distillation, or the paper's.
+    teacher : contents of the map's teacher file; our recipe needs it.
+    search : contents of the policy without verdicts, that the told policy becomes where verdicts say nothing.
+    start : contents of a told policy to go on from.
     """
-    torch.manual_seed(settings.seed)
-    rng = np.random.default_rng(settings.seed)
-    weights = pair_weights(world, settings.distribution)
-    collector = Collector(world, settings.n_episodes, weights, verdict_model(accuracy, settings.missing), rng)
-    network = start or Network(input_size(world), world.n_cells)
-    critic = Critic(collector.state().shape[1])
-    optimizer = torch.optim.Adam([*network.parameters(), *critic.parameters()], eps=1e-5)
-    for update in range(settings.updates):
-        optimizer.param_groups[0]["lr"] = settings.learning_rate * max(1 - update / settings.updates, 0.05)
-        warm = update < settings.warm_updates
-        rollout = collector.collect(network, critic, settings.n_steps, _epsilon(settings, update))
-        advantage = advantages(rollout, settings.discount, settings.trace)
-        shuffled = torch.from_numpy(rng.permutation(settings.n_episodes))
-        for which in shuffled.chunk(settings.warm_minibatches if warm else settings.n_minibatches):
-            loss = losses(network, critic, rollout, advantage, which, settings.clip)
-            _descend(optimizer, loss, settings, warm)
-        progress(update + 1, _figures(rollout, loss))
-    return network
+
+    map: str
+    verdicts: Verdicts
+    settings: RecitationSettings | DistillationSettings | ActorCriticSettings
+    teacher: bytes | None = field(default=None, repr=False)
+    search: bytes | None = field(default=None, repr=False)
+    start: bytes | None = field(default=None, repr=False)
+
+    @property
+    def recipe(self) -> Recipe:
+        """Ours, or the paper's."""
+        return "paper" if isinstance(self.settings, ActorCriticSettings) else "ours"
+
+    @property
+    def name(self) -> str:
+        """Name of its file without the ending."""
+        return policy_name(load_map(self.map).name, self.verdicts, self.recipe)
+
+    @property
+    def cost(self) -> float:
+        """Moves to play: what the jobs' times go by."""
+        return float(self.settings.updates * self._moves)
+
+    @property
+    def _moves(self) -> int:
+        """Moves of an update."""
+        if isinstance(self.settings, RecitationSettings):
+            return load_map(self.map).n_cells * STEP_LIMIT  # about what the longest path has
+        return self.settings.n_steps * self.settings.n_episodes
+
+    def run(self, progress: Progress = lambda done, of, word: None) -> bytes:
+        """The contents of a policy file."""
+        _one_thread()
+        started, settings = perf_counter(), self.settings
+        curve: list[tuple[int, float]] = []
+        recent: list[float] = []
+
+        def show(update: int, figures: dict[str, float]) -> None:
+            recent.append(figures.get("steps", np.nan))  # reciting plays no episodes
+            if update % max(settings.updates // CURVE_POINTS, 1) == 0:
+                curve.append((update * self._moves, float(np.mean(recent))))
+                recent.clear()
+            progress(update, settings.updates, ", ".join(f"{name} {value:.2f}" for name, value in figures.items()))
+
+        network = rounded(self._train(show))
+        return pack(network, self._card(network, curve, perf_counter() - started))
+
+    def _train(self, show: Callable[[int, dict[str, float]], None]) -> Actor:
+        world, settings = load_map(self.map), self.settings
+        if isinstance(settings, ActorCriticSettings):
+            torch.manual_seed(settings.seed)
+            return train_actor_critic(PaperNetwork(world.n_cells), world, self.verdicts, settings, show)
+        assert self.teacher is not None, "our recipe needs a teacher"
+        lesson = teachers.read(self.teacher, world, f"{world.name}{teachers.SUFFIX}")
+        if isinstance(settings, RecitationSettings):
+            return recite(world, lesson.paths, settings, show)
+        listening = distil(world, lesson.planner, self.verdicts, settings, show, self._listening())
+        if self.verdicts.kind != "told":
+            return listening
+        assert self.search is not None, "the told policy needs a search"
+        told = ToldNetwork(world.n_cells, listening.n_hidden)
+        told.listening.load_state_dict(listening.state_dict())
+        told.searching.load_state_dict(unpack(self.search, "search")[0].state_dict())
+        return told
+
+    def _listening(self) -> Network | None:
+        """What to go on from."""
+        if self.start is None:
+            return None
+        told, _ = unpack(self.start, "start")
+        assert isinstance(told, ToldNetwork), "one goes on from a told policy"
+        return told.listening
+
+    def _card(self, network: Actor, curve: list[tuple[int, float]], seconds: float) -> PolicyCard:
+        world = load_map(self.map)
+        player = NetworkPlayer(network, world)
+        tested = Verdicts("score", (0.75,)) if self.verdicts.kind == "told" else self.verdicts
+        results = {
+            name: asdict(evaluate(player, world, tested, name, TEST_EPISODES, seed=1))
+            for name in ("pairs", "distances")
+        }
+        story: dict[str, Any] = {
+            "settings": asdict(self.settings),
+            "start": unpack(self.start, "start")[1].name if self.start else None,
+            "minutes": round(seconds / 60, 2),
+            "curve": [[moves, round(steps, 2)] for moves, steps in curve if np.isfinite(steps)],
+            "versions": {"torch": str(torch.__version__), "numpy": np.__version__},
+            "evaluated_with": str(tested),
+            "evaluation": results,
+        }
+        return PolicyCard(
+            world.name,
+            world.digest,
+            str(self.verdicts),
+            self.recipe,
+            network.layout,
+            world.n_cells,
+            network.n_hidden,
+            story,
+        )
 
 
-def _descend(optimizer: torch.optim.Optimizer, loss: Losses, settings: HyperParameters, warm: bool) -> None:
-    guided = loss.imitation if warm else loss.actor - settings.entropy * loss.entropy
-    total = guided + loss.critic + settings.goal_weight * loss.goal
-    optimizer.zero_grad()
-    total.backward()  # type: ignore[no-untyped-call]
-    torch.nn.utils.clip_grad_norm_(optimizer.param_groups[0]["params"], settings.max_gradient)
-    optimizer.step()
-
-
-def _epsilon(settings: HyperParameters, update: int) -> float:
-    """Falls linearly over the warm start, then stays."""
-    done = min(update / max(settings.warm_updates, 1), 1.0)
-    return settings.epsilon_first + done * (settings.epsilon_last - settings.epsilon_first)
-
-
-def _figures(rollout: Rollout, loss: Losses) -> dict[str, float]:
-    ended = float(rollout.ended.sum())
-    return {
-        "steps": rollout.ended.numel() / max(ended, 1.0),
-        "imitation": loss.imitation.item(),
-        "critic": loss.critic.item(),
-        "goal": loss.goal.item(),
-        "entropy": loss.entropy.item(),
-        "ratio": loss.ratio.mean().item(),
-    }
+def _one_thread() -> None:
+    # Small matrices: more threads only wait for each other, and the order of a sum mustn't depend on their number.
+    torch.set_num_threads(1)

@@ -92,7 +92,7 @@ class ForeignStimulus:
         return pylsl.StreamOutlet(info)
 
     def say(self, kind: str, stamp: float | None = None, **fields: Any) -> None:
-        message = {"protocol": 1, "session": self.session, "type": kind, **fields}
+        message = {"protocol": 2, "session": self.session, "type": kind, **fields}
         self._out.push_sample([json.dumps(message)], pylsl.local_clock() if stamp is None else stamp)
 
     def raw(self, text: str) -> None:

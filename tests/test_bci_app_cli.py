@@ -6,7 +6,7 @@ import pytest
 from conftest import Cli
 
 from bci_app.gridworld import load_map
-from policy.checkpoint import choose
+from policy.checkpoint import choose_told
 
 
 def refused(cli: Cli, *words: object) -> str:
@@ -45,20 +45,9 @@ def test_a_map_with_unreachable_cells_is_refused(cli: Cli, tmp_path: Path) -> No
 
 
 def test_a_policy_for_another_map_is_refused(cli: Cli) -> None:
-    other = choose(0.75, load_map("obstacles")).path
+    other = choose_told(load_map("obstacles")).path
     said = refused(cli, "policy", "--session", "s", "--map", "open", "--policy", other)
     assert "trained on map 'obstacles'" in said
-
-
-def test_below_the_gate_the_session_explains_and_asks_for_a_flag(cli: Cli, any_decoder: Path, tmp_path: Path) -> None:
-    config = tmp_path / "c.toml"
-    config.write_text(f'recordings = "{tmp_path.as_posix()}"\n', encoding="utf-8")
-    words = ("online", "--participant", "P1", "--map", "open", "--model", any_decoder, "--config", config, "--simulate")
-    said = refused(cli, *words)
-    assert "below the gate of 70%" in said
-    assert "--policy none" in said
-    assert "--below-gate" in said
-    assert not list(tmp_path.glob("sub-*"))
 
 
 def test_a_recordings_folder_that_cannot_be_made_is_named(cli: Cli, tmp_path: Path) -> None:

@@ -15,21 +15,24 @@ PAGE = (Path(__file__).parents[1] / "docs" / "protocol.md").read_text(encoding="
 floats = st.floats(allow_nan=False, allow_infinity=False)
 
 
-@given(floats, floats, st.integers(0, 10**6), st.integers(1, 60))
-def test_floats_survive_to_the_bit(log_odds: float, first_time: float, episode: int, step: int) -> None:
+@given(floats, floats, floats, st.integers(0, 10**6), st.integers(1, 60))
+def test_floats_survive_to_the_bit(
+    log_odds: float, evidence: float, first_time: float, episode: int, step: int
+) -> None:
     verdict = Verdict(
         session="s",
         episode=episode,
         step=step,
         outcome="error",
         log_odds=log_odds,
+        evidence=evidence,
         clock_offset=0.0,
         first_time=first_time,
     )
     again = decode(encode(verdict), "s")
     assert isinstance(again, Verdict)
     assert again == verdict
-    assert str(again.log_odds) == str(log_odds)  # tells -0.0 from 0.0
+    assert (str(again.log_odds), str(again.evidence)) == (str(log_odds), str(evidence))  # tells -0.0 from 0.0
 
 
 @pytest.mark.parametrize(
@@ -37,14 +40,19 @@ def test_floats_survive_to_the_bit(log_odds: float, first_time: float, episode: 
     [
         ("hello", "Invalid JSON"),
         ("{}", "type"),
-        ('{"protocol": 2, "session": "s", "type": "Resume"}', "protocol"),
-        ('{"protocol": 1, "session": "s", "type": "Resume", "extra": 1}', "extra"),
-        ('{"protocol": 1, "session": "other", "type": "Resume"}', "session 'other'"),
-        ('{"protocol": 1, "session": "s", "type": "Gossip"}', "type"),
+        ('{"protocol": 3, "session": "s", "type": "Resume"}', "protocol"),
+        ('{"protocol": 2, "session": "s", "type": "Resume", "extra": 1}', "extra"),
+        ('{"protocol": 2, "session": "other", "type": "Resume"}', "session 'other'"),
+        ('{"protocol": 2, "session": "s", "type": "Gossip"}', "type"),
         (
-            '{"protocol": 1, "session": "s", "type": "Verdict", "episode": 0, "step": 1, "outcome": "error",'
+            '{"protocol": 2, "session": "s", "type": "Verdict", "episode": 0, "step": 1, "outcome": "error",'
             ' "clock_offset": NaN}',
             "clock_offset",
+        ),
+        (
+            '{"protocol": 2, "session": "s", "type": "Verdict", "episode": 0, "step": 1, "outcome": "error",'
+            ' "clock_offset": 0.0, "evidence": Infinity}',
+            "evidence",
         ),
     ],
 )
@@ -52,6 +60,16 @@ def test_what_is_no_message_of_this_session_is_refused(text: str, says: str) -> 
     with pytest.raises(BadMessage) as error:
         decode(text, "s")
     assert says.lower() in str(error.value).lower()
+
+
+def test_version_1_is_read_and_version_2_sent() -> None:
+    """Calibrations recorded before verdicts had evidence can be fitted again."""
+    message = {"protocol": 1, "session": "s", "type": "Verdict", "episode": 0, "step": 1, "outcome": "unjudged"}
+    old = decode(json.dumps({**message, "clock_offset": 0.0}), "s")
+    assert isinstance(old, Verdict)
+    assert (old.protocol, old.evidence) == (1, None)
+    assert json.loads(encode(protocol.Resume(session="s")))["protocol"] == protocol.PROTOCOL_VERSION == 2
+    assert f"| `protocol` | integer | {protocol.PROTOCOL_VERSION}, the version of this page" in PAGE
 
 
 @given(st.text())

@@ -1,5 +1,6 @@
 """The model file and how a stream is fitted to it."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from bci_app.config import ChainConfig, ClassifierConfig
 from bci_app.errors import SetupError
 from decoder.calibration import calibrate
 from decoder.chain import design
+from decoder.evidence import calibrate_evidence
 from decoder.model import DecoderModel, fit_stream, load, make_model, save
 from decoder.montage import MONTAGE_64, canonical, directions
 from decoder.operator import features
@@ -51,6 +53,22 @@ def test_it_says_what_it_was_made_from(file: Path) -> None:
     assert 0 <= info.tenfold["balanced_accuracy"]["low"] <= info.tenfold["balanced_accuracy"]["value"] <= 1
 
 
+def test_it_says_what_its_verdicts_are_worth(file: Path) -> None:
+    loaded = load(file)
+    assert loaded.info.evidence == calibrate_evidence(loaded.held_out_log_odds, loaded.held_out_error)
+    assert loaded.info.evidence.slope > 0
+
+
+@pytest.mark.parametrize("wrong", ['\\"hit\\":NaN', '\\"hit\\":1.0', '\\"hat\\":0.5'])
+def test_impossible_evidence_is_refused(file: Path, wrong: str) -> None:
+    contents = file.read_bytes()
+    found = re.search(rb'\\"hit\\":[0-9.]+', contents)
+    assert found
+    file.write_bytes(contents.replace(found[0], wrong.ljust(len(found[0])).encode()))  # as long: a whole file
+    with pytest.raises(SetupError, match=r"evidence\.h[ai]t: "):
+        load(file)
+
+
 def test_it_is_never_overwritten(model: DecoderModel, file: Path) -> None:
     contents = file.read_bytes()
     with pytest.raises(SetupError, match="never overwritten"):
@@ -79,16 +97,23 @@ def test_damage_is_refused(file: Path, tmp_path: Path, data: st.DataObject) -> N
 def test_other_files_are_refused(tmp_path: Path, contents: bytes) -> None:
     path = tmp_path / "other"
     path.write_bytes(contents)
-    with pytest.raises(SetupError, match="no decoder of format 1"):
+    with pytest.raises(SetupError, match="no decoder of format 2"):
         load(path)
     with pytest.raises(SetupError, match="Calibrate first"):
         load(tmp_path / "missing")
 
 
 def test_a_future_format_is_refused(file: Path) -> None:
-    contents = file.read_bytes().replace(b'{\\"format\\":1', b'{\\"format\\":2')
+    contents = file.read_bytes().replace(b'{\\"format\\":2', b'{\\"format\\":3')
     file.write_bytes(contents)
-    with pytest.raises(SetupError, match="format"):
+    with pytest.raises(SetupError, match=r"damaged \(format: .*Use the bci-app version that wrote it"):
+        load(file)
+
+
+def test_format_1_is_to_be_fitted_again(file: Path) -> None:
+    contents = file.read_bytes().replace(b'{\\"format\\":2', b'{\\"format\\":1')
+    file.write_bytes(contents)
+    with pytest.raises(SetupError, match=r"format 1, .*Run `bci-app fit` on the calibration again\.$"):
         load(file)
 
 

@@ -192,8 +192,11 @@ def test_verdicts_answer_the_truth_of_each_move_and_carry_their_samples(session:
     recording = read(session.recording("open"))
     onsets = {(move.episode, move.step): stamp for stamp, move in recording.of(MoveOnset)}
     assert set(truths(recording)) == set(onsets)
+    worth = session.fit["calibration"]["evidence"]
     for _, verdict in recording.of(Verdict):
         assert verdict.first_time is not None
+        assert verdict.log_odds is not None
+        assert verdict.evidence == max(-10, min(10, worth["slope"] * verdict.log_odds + worth["intercept"]))
         last = verdict.first_time + (verdict.n_samples - 1) / 500
         assert last == pytest.approx(onsets[verdict.episode, verdict.step] + 0.6, abs=0.003)
 

@@ -1,3 +1,5 @@
+"""What a live episode gives the policy is what the simulator gave it in training, and the goal is no part of it."""
+
 import dataclasses
 
 import numpy as np
@@ -5,82 +7,83 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bci_app.gridworld import compile_map, load_map
-from policy.observation import (
-    CORRECT,
-    ERROR,
-    MISSING,
-    Tracker,
-    View,
-    encode,
-    fields,
-    input_size,
-    sensed_table,
-)
-from policy.simulator import Simulator, VerdictModel, pair_weights
+from bci_app.gridworld import N_ACTIONS, STEP, compile_map, load_map
+from policy.observation import GOAL_NEXT, Tracker, View, sense_codes
+from policy.simulator import Pairs, Simulator, pair_weights
+from policy.verdicts import anybody
 
 WORLDS = {
     "open": load_map("open"),
     "obstacles": load_map("obstacles"),
     "oblong": compile_map("....\n.##.\n....", "oblong"),
 }
+NOTHING = (False,) * 5
+FIELDS = [field.name for field in dataclasses.fields(View)]
 
 
 @given(st.sampled_from(sorted(WORLDS)), st.integers(0, 2**32 - 1), st.integers(1, 70))
-@settings(max_examples=40, deadline=None)
-def test_one_live_episode_and_the_vectorised_simulator_give_identical_inputs(name, seed, n_steps):
-    world, rng = WORLDS[name], np.random.default_rng(seed)
-    simulator = Simulator(world, 5, pair_weights(world, "pairs"), VerdictModel(0.7, 0.8, 0.2), rng)
-    sensed = [world.goal_sensed(int(c), int(g)) for c, g in zip(simulator.cell, simulator.goal, strict=True)]
-    trackers = [Tracker(world, int(cell), s) for cell, s in zip(simulator.cell, sensed, strict=True)]
+@settings(max_examples=30, deadline=None)
+def test_a_live_episode_and_the_simulator_see_the_same(name, seed, n_steps):
+    world, rng, n = WORLDS[name], np.random.default_rng(seed), 4
+    start, goal = Pairs(pair_weights(world, "pairs")).draw(n, rng)
+    simulator = Simulator(world, start, goal, anybody(n, rng), rng)
+    told = simulator.decoders.information
+    trackers = [
+        Tracker(world, int(s), world.goal_sensed(int(s), int(g)), float(bits))
+        for s, g, bits in zip(start, goal, told, strict=True)
+    ]
     for _ in range(n_steps):
-        single = np.concatenate([encode(world, tracker.view()) for tracker in trackers])
-        np.testing.assert_array_equal(single, encode(world, simulator.view()))
+        simulated, live = simulator.view(), [tracker.view() for tracker in trackers]
+        for field in FIELDS:
+            expected = getattr(simulated, field)
+            found = np.concatenate([getattr(view, field) for view in live])
+            np.testing.assert_array_equal(found, expected)
+            assert found.dtype == expected.dtype
         actions = np.array([rng.choice(np.flatnonzero(world.legal[cell])) for cell in simulator.cell])
         simulator.step(actions)
         for i, tracker in enumerate(trackers):
-            cell, goal = int(simulator.cell[i]), int(simulator.goal[i])
-            verdict = int(simulator.verdict[i])
-            tracker.moved(int(actions[i]), cell, world.goal_sensed(cell, goal), verdict)
+            cell = int(simulator.cell[i])
+            sensed = world.goal_sensed(cell, int(goal[i]))
+            tracker.moved(int(actions[i]), cell, sensed, float(simulator.evidence[i]))
 
 
 @pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
-def test_the_fields_tile_the_input(world):
-    covered = np.concatenate([np.arange(s.start, s.stop) for s in fields(world).values()])
-    np.testing.assert_array_equal(covered, np.arange(input_size(world)))
+def test_a_goal_is_sensed_here_and_next_door_and_nowhere_else(world):
+    codes = sense_codes(world)
+    for cell, (row, column) in enumerate(world.cells.tolist()):
+        for goal, (goal_row, goal_column) in enumerate(world.cells.tolist()):
+            offset = (goal_row - row, goal_column - column)
+            expected = 1 if cell == goal else STEP.index(offset) + GOAL_NEXT if offset in STEP else 0
+            assert codes[cell, goal] == expected
+            sensed = world.goal_sensed(cell, goal)
+            assert expected == (sensed.index(True) + 1 if any(sensed) else 0)
 
 
-@pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
-def test_the_table_of_what_is_sensed_agrees_with_the_world(world):
-    table = sensed_table(world)
-    for cell in range(world.n_cells):
-        for goal in range(world.n_cells):
-            assert tuple(table[cell, goal]) == world.goal_sensed(cell, goal)
-
-
-def test_a_missing_verdict_is_told_from_a_correct_and_an_error():
+def test_the_first_view_tells_the_start_and_nothing_else():
     world = WORLDS["open"]
-    rows = []
-    for verdict in (CORRECT, MISSING, ERROR):
-        tracker = Tracker(world, 0, (False,) * 5)
-        tracker.moved(1, 11, (False,) * 5, verdict)
-        rows.append(encode(world, tracker.view())[0])
-    given_column = fields(world)["verdict_given"].start
-    assert [row[given_column] for row in rows] == [1, 0, 1]
-    assert [row[fields(world)["verdict"].start] for row in rows] == [-1, 0, 1]
+    view = Tracker(world, 60, NOTHING, 0.25).view()
+    assert view.move[0] == world.n_cells * N_ACTIONS + 60
+    assert (view.cell[0], view.evidence[0], view.sensed[0], view.step[0], view.information[0]) == (60, 0, 0, 0, 0.25)
+    assert np.flatnonzero(view.visited[0]).tolist() == [60]
 
 
-def test_inputs_stay_within_their_maxima_beyond_the_step_limit():
-    world = WORLDS["open"]
-    tracker = Tracker(world, 0, (False,) * 5)
-    for step in range(200):
-        tracker.moved(1 - step % 2, 11 if step % 2 == 0 else 0, (False,) * 5, ERROR)
-    assert np.abs(encode(world, tracker.view())).max() == 1
+def test_a_move_is_told_by_the_cell_left_and_the_action():
+    tracker = Tracker(WORLDS["open"], 60, NOTHING, 0.25)
+    tracker.moved(3, 61, (False, True, False, False, False), -1.5)
+    view = tracker.view()
+    assert view.move[0] == 60 * N_ACTIONS + 3
+    assert (view.cell[0], view.evidence[0], view.sensed[0], view.step[0]) == (61, -1.5, GOAL_NEXT, 1)
+    assert np.flatnonzero(view.visited[0]).tolist() == [60, 61]
 
 
 def test_the_goal_is_no_part_of_what_the_agent_perceives():
-    assert "goal" not in {field.name for field in dataclasses.fields(View)}
-    world = WORLDS["open"]
-    # Two goals out of sight, the same start: the same inputs.
-    inputs = [encode(world, Tracker(world, 60, world.goal_sensed(60, goal)).view()) for goal in (0, 120)]
-    np.testing.assert_array_equal(*inputs)
+    assert "goal" not in FIELDS
+    world, actions = WORLDS["open"], np.array([0, 0])
+    # Two goals out of sight, the same start and moves, no verdicts: the same views.
+    rng = np.random.default_rng(0)
+    simulator = Simulator(world, np.array([60, 60]), np.array([0, 120]), anybody(2, rng), rng)
+    for _ in range(2):
+        view = simulator.view()
+        for field in set(FIELDS) - {"evidence", "information"}:
+            np.testing.assert_array_equal(getattr(view, field)[0], getattr(view, field)[1])
+        simulator.step(actions)

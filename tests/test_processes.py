@@ -17,7 +17,9 @@ from bci_app.gridworld import load_map
 from bci_app.protocol import SessionEnd
 from bci_app.recording import read
 from bci_app.runs import read_sidecar
-from policy.checkpoint import choose
+from policy.checkpoint import choose_told
+
+TOLD = "0.7:0.8:0.2"  # hit, correct rejection, bits
 
 
 @contextmanager
@@ -35,11 +37,11 @@ def process(*words: object) -> Iterator[subprocess.Popen[str]]:
 def test_a_foreign_stimulus_works_with_our_decoder_and_policy_and_nobody_opens_the_truth(any_decoder: Path) -> None:
     """Decoder and policy answer a program built on docs/protocol.md; neither ever subscribes to the truth."""
     stimulus = ForeignStimulus("foreign")
-    policy_file = choose(0.75, load_map("open")).path
+    policy_file = choose_told(load_map("open")).path
     with (
         closing(ForeignAmplifier()) as amplifier,
         process("decoder", "--session", "foreign", "--model", any_decoder) as decoder,
-        process("policy", "--session", "foreign", "--map", "open", "--policy", policy_file) as policy,
+        process("policy", "--session", "foreign", "--map", "open", "--policy", policy_file, "--told", TOLD) as policy,
     ):
         verdicts, actions = stimulus.listen("bci-verdicts"), stimulus.listen("bci-actions")
         until(lambda: verdicts.is_ready() and actions.is_ready(), 40, "decoder and policy", amplifier.play)

@@ -1,0 +1,120 @@
+"""The verbs about policies: `train`, `evaluate` and `experiment1`. No participant, no amplifier, no LSL."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, cast
+
+import typer
+
+from bci_app.errors import SetupError
+from bci_app.gridworld import SHIPPED_MAPS, load_map
+from bci_app.terminal import finish, progress_bar
+
+PANEL = "Policies"
+MapOption = Annotated[str, typer.Option("--map", help="open, obstacles or a map file.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")]
+FolderOption = Annotated[Path | None, typer.Option("--policies", help="Folder of policies; default: the shipped ones.")]
+EpisodesOption = Annotated[int, typer.Option("--episodes", min=2, help="Episodes of each kind.")]
+SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of episodes and verdicts.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verbs."""
+    for verb in (train, evaluate, experiment1):
+        app.command(rich_help_panel=PANEL)(verb)
+
+
+def train(
+    out: Annotated[Path, typer.Option("--out", help="Folder of the policy files; what is there is kept.")],
+    map_name: Annotated[
+        list[str] | None, typer.Option("--map", help="Map (repeatable); default: both shipped.")
+    ] = None,
+    verdicts: Annotated[
+        list[str] | None,
+        typer.Option("--verdicts", help="told, none, binary:P, rates:HIT:CR, score:P (repeatable); default: told."),
+    ] = None,
+    library: Annotated[bool, typer.Option("--library", help="All: told, none, binary:0.55 .. 1.00.")] = False,
+    recipe: Annotated[str, typer.Option("--recipe", help="ours, or the paper's.")] = "ours",
+    updates: Annotated[int | None, typer.Option("--updates", min=1, help="Default: the recipe's.")] = None,
+    seed: SeedOption = 0,
+    backend: Annotated[str, typer.Option("--backend", help="local processes, or a dask cluster.")] = "local",
+    workers: Annotated[int, typer.Option("--workers", help="Local processes; -1 for one a core.")] = -1,
+    scheduler: Annotated[str | None, typer.Option("--scheduler", help="Address of the Dask scheduler.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Train one policy or the whole library; what is in the folder already is not trained again."""
+    from policy import library as training
+
+    _one_of("--recipe", recipe, ("ours", "paper"))
+    _one_of("--backend", backend, ("local", "dask"))
+    if library and verdicts:
+        raise SetupError("--library trains all verdicts; leave out --verdicts.")
+    wanted = training.everything() if library else training.parsed(verdicts or ["told"])
+    settings = training.Settings().with_(updates, seed)
+    where = training.Backend(cast(Literal["local", "dask"], backend), workers, scheduler)
+    with progress_bar(as_json) as progress:
+        paths = training.train(
+            map_name or list(SHIPPED_MAPS),
+            wanted,
+            cast(Literal["ours", "paper"], recipe),
+            out,
+            settings,
+            where,
+            progress,
+        )
+    finish({"policies": [str(path) for path in paths]}, as_json)
+
+
+def evaluate(
+    map_name: MapOption,
+    verdicts: Annotated[str, typer.Option("--verdicts", help="none, binary:P, rates:HIT:CR or score:P.")],
+    policy: Annotated[
+        str | None,
+        typer.Option("--policy", help="A policy's name or file, bayes, planner, sweep or oracle; default: online's."),
+    ] = None,
+    episodes: EpisodesOption = 20_000,
+    seed: SeedOption = 0,
+    missing: Annotated[float, typer.Option("--missing", min=0, max=1, help="Share of missing verdicts.")] = 0.0,
+    taken_for: Annotated[
+        str | None, typer.Option("--taken-for", help="Verdicts they are taken for, where told wrongly.")
+    ] = None,
+    folder: FolderOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Play simulated episodes with a policy or a baseline: steps to the goal and success, with intervals."""
+    from policy import checkpoint, evaluation, players
+    from policy.verdicts import Verdicts
+
+    world, kind = load_map(map_name), Verdicts.parse(verdicts, missing)
+    if kind.kind == "told":
+        raise SetupError("--verdicts told is for training; name the decoder to evaluate with, as in score:0.7.")
+    if taken_for is not None:
+        believed = Verdicts.parse(taken_for)
+        if (believed.kind == "score") != (kind.kind == "score") or believed.kind in ("none", "told"):
+            raise SetupError(f"--taken-for must be of the same form as --verdicts {verdicts}, found '{taken_for}'.")
+        kind = replace(kind, taken_for=believed)
+    name = policy or ("none" if kind.kind == "none" else "told")
+    player, heard = players.player_of(name, world, kind, folder or checkpoint.PRETRAINED)
+    figures: dict[str, Any] = {"map": world.name, "verdicts": verdicts, "policy": name}
+    figures |= evaluation.report(player, world, heard, episodes, seed)
+    finish(figures, as_json)
+
+
+def experiment1(
+    out: Annotated[Path, typer.Option("--out", help="Folder for tables and figures.")],
+    episodes: EpisodesOption = 20_000,
+    folder: FolderOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """The paper's first experiment: all of its tables and figures with our policies, beside the published numbers."""
+    from policy import checkpoint
+    from policy import experiment1 as experiment
+
+    with progress_bar(as_json) as progress:
+        result = experiment.run(out, folder or checkpoint.PRETRAINED, episodes, progress)
+    finish(result, as_json)
+
+
+def _one_of(option: str, found: str, known: tuple[str, ...]) -> None:
+    if found not in known:
+        raise SetupError(f"{option} must be one of {', '.join(known)}; found {found!r}.")

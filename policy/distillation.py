@@ -1,0 +1,136 @@
+"""Our recipe: the recurrent actor plays, a planner that knows the exact belief says at each step what it would do.
+
+The actor sees what a live agent sees; only the teacher sees the belief. The states are the actor's own, so it learns
+what to do where it gets by its own mistakes (DAgger, Ross et al. 2011), and one pass through the network serves acting
+and learning.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from bci_app.gridworld import GridWorld
+from policy.episodes import Episodes, drawn
+from policy.network import HIDDEN, Network
+from policy.planner import Planner
+from policy.processor import mixed_precision
+from policy.simulator import Distribution, pair_weights
+from policy.verdicts import Draw
+
+
+@dataclass(frozen=True)
+class DistillationSettings:
+    """The recipe of one policy; stored beside its weights."""
+
+    seed: int = 0
+    """Of weights, episodes, verdicts and actions."""
+    n_hidden: int = HIDDEN
+    """GRU units."""
+    n_episodes: int = 256
+    """Episodes played in parallel."""
+    n_steps: int = 20
+    """Steps of each between updates, and the length of back-propagation through time."""
+    updates: int = 2400
+    guided: float = 0.3
+    """Share of the updates over which the teacher leads, in fewer and fewer of the episodes."""
+    learning_rate: float = 4e-3
+    """Adam's, falling linearly to a four-hundredth."""
+    goal_weight: float = 1.0
+    """Weight of the auxiliary head that learns the belief; it makes the memory keep what the planner knows."""
+    sharpening: float = 2.0
+    """Power of the teacher's probabilities: its entropy is a rest of its exploration."""
+    max_gradient: float = 1.0
+    """Norm at which the gradient is clipped."""
+    distribution: Distribution = "mixture"
+    """Starts and goals: half like random episodes, half like the experiment's, so that far goals are learnt."""
+
+
+Progress = Callable[[int, dict[str, float]], None]
+"""Called after each update with its number, from 1, and its figures."""
+
+
+def distil(
+    world: GridWorld,
+    planner: Planner,
+    draw: Draw,
+    settings: DistillationSettings,
+    progress: Progress = lambda update, figures: None,
+    start: Network | None = None,
+) -> Network:
+    """Train an actor for decoders as ``draw`` gives them; ``start`` is a network to go on from."""
+    torch.manual_seed(settings.seed)
+    rng = np.random.default_rng(settings.seed)
+    network = Network(world.n_cells, settings.n_hidden) if start is None else start.train()
+    weights = pair_weights(world, settings.distribution)
+    episodes = Episodes(world, settings.n_episodes, weights, draw, rng)
+    optimizer = torch.optim.Adam(network.parameters(), eps=1e-5)
+    hidden = torch.zeros(settings.n_episodes, network.n_hidden)
+    for update in range(settings.updates):
+        done = update / settings.updates
+        optimizer.param_groups[0]["lr"] = settings.learning_rate * max(1 - done, 1 / 400)
+        led = 0 if start else round(settings.n_episodes * max(0.0, 1 - done / settings.guided))
+        segment = _Segment(network, planner, episodes, settings)
+        hidden = segment.play(hidden.detach(), led)
+        loss, figures = segment.loss()
+        optimizer.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        nn.utils.clip_grad_norm_(network.parameters(), settings.max_gradient)
+        optimizer.step()
+        progress(update + 1, figures)
+    return network.eval()
+
+
+class _Segment:
+    """Some steps of all episodes, and what the teacher would have done in each."""
+
+    def __init__(self, network: Network, planner: Planner, episodes: Episodes, settings: DistillationSettings) -> None:
+        self.network, self.planner, self.episodes, self.settings = network, planner, episodes, settings
+        self.logits: list[Tensor] = []
+        self.features: list[Tensor] = []
+        self.taught: list[Tensor] = []
+        self.beliefs: list[Tensor] = []
+        self.n_ended = 0
+
+    def play(self, hidden: Tensor, led: int) -> Tensor:
+        """Move on from a memory, the first ``led`` episodes as the teacher says; the memory after the last step."""
+        with mixed_precision():  # one context, or the weights would be converted anew at every step
+            for _ in range(self.settings.n_steps):
+                hidden = self._step(hidden, led)
+        return hidden
+
+    def _step(self, hidden: Tensor, led: int) -> Tensor:
+        episodes, simulator = self.episodes, self.episodes.simulator
+        output = self.network(self.network.look(episodes.world, simulator.view()), hidden)
+        logits = output.logits.masked_fill(~episodes.legal(), -1e9)
+        taught = self._teach()
+        actions = drawn(torch.log_softmax(logits.detach(), dim=1), episodes.rng)
+        actions[:led] = taught[:led].argmax(dim=1)
+        self.logits.append(logits)
+        self.features.append(output.features)
+        self.taught.append(taught)
+        self.beliefs.append(torch.from_numpy(episodes.belief.probability))
+        done = episodes.move(actions.numpy()).done
+        episodes.renew(done)
+        self.n_ended += int(done.sum())
+        kept: Tensor = output.hidden * torch.from_numpy(~done)[:, None]
+        return kept
+
+    @torch.no_grad()
+    def _teach(self) -> Tensor:
+        simulator = self.episodes.simulator
+        seen = self.planner.look(self.episodes.belief, simulator.step_number, simulator.decoders.information)
+        return self.planner.log_probabilities(seen, self.settings.sharpening).exp()
+
+    def loss(self) -> tuple[Tensor, dict[str, float]]:
+        """Cross-entropies of the actions and, beside, of the goal, with the figures to show."""
+        chosen = torch.log_softmax(torch.cat(self.logits), dim=1)
+        imitation = -(torch.cat(self.taught) * chosen.clamp(min=-30)).sum(dim=1).mean()
+        with mixed_precision():
+            guess = self.network.goal(torch.cat(self.features))
+        goal = -(torch.cat(self.beliefs) * torch.log_softmax(guess.float(), dim=1)).sum(dim=1).mean()
+        steps = len(chosen) / max(self.n_ended, 1)
+        figures = {"steps": steps, "imitation": imitation.item(), "goal": goal.item()}
+        return imitation + self.settings.goal_weight * goal, figures

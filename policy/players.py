@@ -1,0 +1,81 @@
+"""From a name to somebody who plays: a policy of the library or a file, or a baseline."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from bci_app.errors import SetupError
+from bci_app.gridworld import GridWorld
+from policy import checkpoint, teachers
+from policy.baselines import BayesPlayer, OraclePlayer, PlannerPlayer, SearchPlayer
+from policy.evaluation import NetworkPlayer, Player
+from policy.simulator import pair_weights
+from policy.verdicts import Verdicts
+
+BASELINES = ("bayes", "planner", "sweep", "oracle")
+
+
+def player_of(name: str, world: GridWorld, verdicts: Verdicts, folder: Path) -> tuple[Player, Verdicts]:
+    """A player, and the verdicts as it hears them.
+
+    Parameters
+    ----------
+    name : one of `BASELINES`, a policy file, or a policy's name in the folder, with or without the map before it.
+    verdicts : as the decoder gives them.
+
+    Raises SetupError when there is no such policy or it is of another map.
+    """
+    if name in BASELINES:
+        return _baseline(name, world, folder), verdicts
+    card = _card(name, world, folder)
+    checkpoint.check_fits(card, world)
+    assert card.path is not None
+    network, _ = checkpoint.load(card.path)
+    return NetworkPlayer(network, world), heard(Verdicts.parse(card.verdicts), verdicts)
+
+
+def heard(trained: Verdicts, verdicts: Verdicts) -> Verdicts:
+    """Verdicts as a policy hears them: one trained on words of some accuracy takes all words for such."""
+    match trained.kind:
+        case "none":
+            return trained
+        case "binary" | "rates":
+            return verdicts if verdicts.kind == "none" else replace(verdicts.signs(), taken_for=trained)
+        case "score":
+            return replace(verdicts, taken_for=trained) if verdicts.kind == "score" else verdicts
+        case "told":
+            return verdicts
+
+
+def _baseline(name: str, world: GridWorld, folder: Path) -> Player:
+    match name:
+        case "bayes":
+            return BayesPlayer(world, pair_weights(world, "pairs"))
+        case "sweep":
+            return SearchPlayer(_lesson(world, folder).paths)
+        case "planner":
+            return PlannerPlayer(_lesson(world, folder).planner, pair_weights(world, "mixture"))
+        case _:
+            return OraclePlayer(world)
+
+
+def _lesson(world: GridWorld, folder: Path) -> teachers.Lesson:
+    path = teachers.path_of(folder, world)
+    try:
+        contents = path.read_bytes()
+    except OSError as error:
+        raise SetupError(
+            f"The search and the planner of map '{world.name}' must be in {path}, but it can't be read ({error}). "
+            f"Train them: bci-app train --map {world.name} --out {folder}"
+        ) from error
+    return teachers.read(contents, world, str(path))
+
+
+def _card(name: str, world: GridWorld, folder: Path) -> checkpoint.PolicyCard:
+    candidates = [Path(name), *(folder / f"{stem}{checkpoint.SUFFIX}" for stem in (name, f"{world.name}_{name}"))]
+    for path in candidates:
+        if path.is_file():
+            return checkpoint.read_card(path)
+    known = ", ".join(sorted(card.name for card in checkpoint.library(folder)))
+    raise SetupError(
+        f"No policy '{name}': expected a file, one of {', '.join(BASELINES)}, or of {folder}: {known or 'none there'}."
+    )

@@ -1,0 +1,127 @@
+"""Teaching an actor the search without verdicts: a laid-down path from every start, recited until it is known by heart.
+
+The path depends on nothing but the start, so all of it is one batch: every start side by side, step after step.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from bci_app.gridworld import N_ACTIONS, GridWorld
+from policy.coverage import Ints
+from policy.network import Inputs, Network
+from policy.observation import GOAL_NEXT, STEP_LIMIT
+from policy.processor import mixed_precision
+
+DONE = -100
+"""Taught after a path's end: `cross_entropy` leaves it out."""
+
+
+@dataclass(frozen=True)
+class RecitationSettings:
+    """How the search is taught; stored beside the weights."""
+
+    seed: int = 0
+    """Of weights, and of where the goal is thought to be sensed."""
+    updates: int = 500
+    """Times all paths are gone through; after 400 every step of them is known, on both maps."""
+    learning_rate: float = 4e-3
+    """Adam's, falling linearly to a four-hundredth."""
+    what_if: float = 0.1
+    """Share of steps at which the goal is thought to be sensed next door, so that going there is learnt too."""
+    max_gradient: float = 1.0
+    """Norm at which the gradient is clipped."""
+
+
+Progress = Callable[[int, dict[str, float]], None]
+"""Called after each update with its number, from 1, and its figures."""
+
+
+def recite(
+    world: GridWorld,
+    paths: Ints,
+    settings: RecitationSettings,
+    progress: Progress = lambda update, figures: None,
+) -> Network:
+    """Train an actor that searches along the paths, (n_cells, n_steps), until it senses the goal."""
+    torch.manual_seed(settings.seed)
+    rng = np.random.default_rng(settings.seed)
+    network = Network(world.n_cells)
+    optimizer = torch.optim.Adam(network.parameters(), eps=1e-5)
+    walked = Walk.along(world, paths)
+    for update in range(settings.updates):
+        optimizer.param_groups[0]["lr"] = settings.learning_rate * max(1 - update / settings.updates, 1 / 400)
+        loss, known = _go_through(network, walked, rng, settings.what_if)
+        optimizer.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        nn.utils.clip_grad_norm_(network.parameters(), settings.max_gradient)
+        optimizer.step()
+        progress(update + 1, {"known": known, "loss": loss.item()})
+    return network.eval()
+
+
+@dataclass(frozen=True)
+class Walk:
+    """All paths at once, step by step.
+
+    Attributes
+    ----------
+    inputs : for each step what the actor perceives from every start, (n_cells, ...).
+    taught : int64, (n_steps, n_cells), the path's action, `DONE` after its end.
+    legal : bool, (n_steps, n_cells, 4).
+    """
+
+    inputs: list[Inputs]
+    taught: Tensor
+    legal: Tensor
+
+    @classmethod
+    def along(cls, world: GridWorld, paths: Ints) -> "Walk":
+        """Walk the paths, (n_cells, n_steps)."""
+        n = world.n_cells
+        rows, cell = np.arange(n), np.arange(n)
+        move, visited = n * N_ACTIONS + cell, np.eye(n, dtype=np.float32)
+        nothing, inputs, legal = torch.zeros(n), [], []
+        for step, action in enumerate(paths.T):
+            inputs.append(
+                Inputs(
+                    move=torch.from_numpy(move),
+                    cell=torch.from_numpy(cell),
+                    evidence=nothing,
+                    sensed=torch.zeros(n, dtype=torch.int64),
+                    visited=torch.from_numpy(visited.copy()),
+                    step=torch.full((n,), step / STEP_LIMIT),
+                    information=nothing,
+                )
+            )
+            legal.append(torch.from_numpy(world.legal[cell]))
+            goes = np.maximum(action, 0)  # after its end a path stays where it is told nothing more
+            move, cell = cell * N_ACTIONS + goes, np.where(action < 0, cell, world.next_cell[cell, goes])
+            visited[rows, cell] = 1
+        taught = torch.from_numpy(np.where(paths.T < 0, DONE, paths.T))
+        return cls(inputs, taught, torch.stack(legal))
+
+
+def _go_through(network: Network, walk: Walk, rng: np.random.Generator, what_if: float) -> tuple[Tensor, float]:
+    """The loss over all steps of all paths, and the share of steps that are known."""
+    hidden = torch.zeros(len(walk.legal[0]), network.n_hidden)
+    logits, imagined, next_door = [], [], []
+    with mixed_precision():
+        for step, inputs in enumerate(walk.inputs):
+            if rng.random() < what_if:
+                towards = torch.multinomial(walk.legal[step].float(), 1)[:, 0]
+                imagined.append(network(inputs._replace(sensed=towards + GOAL_NEXT), hidden).logits)
+                next_door.append(towards)
+            output = network(inputs, hidden)
+            logits.append(output.logits)
+            hidden = output.hidden
+    chosen = torch.stack(logits).masked_fill(~walk.legal, -1e9)
+    loss = nn.functional.cross_entropy(chosen.flatten(0, 1), walk.taught.flatten(), ignore_index=DONE)
+    if imagined:
+        loss = loss + nn.functional.cross_entropy(torch.cat(imagined), torch.cat(next_door))
+    told = walk.taught != DONE
+    known = float((chosen.argmax(dim=2)[told] == walk.taught[told]).float().mean())
+    return loss, known

@@ -1,0 +1,72 @@
+"""Teacher files: a planner and the search without verdicts of one map, so that they are made once and used often."""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load as deserialize
+from safetensors.torch import save as serialize
+
+from bci_app.errors import SetupError
+from bci_app.gridworld import GridWorld
+from policy.checkpoint import metadata
+from policy.coverage import search_paths
+from policy.planner import Planner, PlannerSettings, Progress, train_planner
+from policy.simulator import Ints
+
+_CARD = "teacher"
+_PATHS = "search_paths"
+SUFFIX = "_teacher.safetensors"
+
+
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """What the policies of one map are taught from.
+
+    Attributes
+    ----------
+    planner : on the exact belief.
+    paths : int64, (n_cells, n_steps), the search without verdicts, as ``coverage.search_paths`` gives it.
+    """
+
+    planner: Planner
+    paths: Ints
+
+
+def make(world: GridWorld, settings: PlannerSettings, progress: Progress = lambda update, figures: None) -> bytes:
+    """Train a planner and lay down the search; the contents of a teacher file."""
+    paths = search_paths(world)
+    planner = train_planner(world, settings, progress=progress)
+    tensors = {**planner.state_dict(), _PATHS: torch.from_numpy(paths)}
+    card = {"map": world.name, "map_digest": world.digest, "settings": asdict(settings)}
+    contents: bytes = serialize(tensors, metadata={_CARD: json.dumps(card, sort_keys=True)})
+    return contents
+
+
+def read(contents: bytes, world: GridWorld, name: str) -> Lesson:
+    """Take a teacher file apart; ``name`` stands in errors. SetupError when it is damaged or of another map."""
+    try:
+        card = json.loads(metadata(contents)[_CARD])
+        tensors = deserialize(contents)
+        paths = tensors.pop(_PATHS).numpy()
+        planner = Planner(world)
+        if card["map_digest"] == world.digest:
+            planner.load_state_dict(tensors)
+    except (SafetensorError, RuntimeError, KeyError, ValueError) as error:
+        raise SetupError(
+            f"'{name}' must be a teacher written by `bci-app train`, but can't be read as one ({error}). Delete it; "
+            "the next training makes a new one."
+        ) from error
+    if card["map_digest"] != world.digest:
+        raise SetupError(
+            f"The teacher '{name}' knows map '{card['map']}' (digest {card['map_digest'][:12]}), not '{world.name}' "
+            f"(digest {world.digest[:12]}). Give another folder, or delete it."
+        )
+    return Lesson(planner.eval(), paths)
+
+
+def path_of(folder: Path, world: GridWorld) -> Path:
+    """Where the teacher of a map is kept."""
+    return folder / f"{world.name}{SUFFIX}"
