@@ -108,10 +108,10 @@ def experiment1(
 ) -> None:
     """The paper's first experiment: all of its tables and figures with our policies, beside the published numbers."""
     from policy import checkpoint
-    from policy import experiment1 as experiment
+    from policy.experiment1 import tables
 
     with progress_bar(as_json) as progress:
-        result = experiment.run(out, folder or checkpoint.PRETRAINED, episodes, progress)
+        result = tables.run(out, folder or checkpoint.PRETRAINED, episodes, progress)
     finish(result, as_json)
 
 

@@ -26,8 +26,9 @@ from policy.verdicts import Verdicts, anybody
 MAP = "open"
 STUDENT_FLOP = 2 * (3 * HIDDEN * HIDDEN + HIDDEN * WIDTH + 121 * WIDTH + WIDTH * WIDTH + WIDTH * (4 + 121))
 """Of one step forward: the matrix products of `policy.network.Network`; backward costs twice as much."""
-PLANNER_FLOP = 2 * (257 * WIDTH + WIDTH * WIDTH + WIDTH * 4)
-CRITIC_FLOP = 2 * ((257 + 121) * WIDTH + WIDTH * WIDTH + WIDTH)
+PLANNER_WIDTH = 128
+PLANNER_FLOP = 2 * PLANNER_WIDTH * (257 + PLANNER_WIDTH + 4)
+CRITIC_FLOP = 2 * PLANNER_WIDTH * (257 + 121 + PLANNER_WIDTH + 1)
 
 
 def timed(rounds: Callable[[], int], seconds: float) -> float:

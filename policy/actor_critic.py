@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from bci_app.gridworld import GridWorld
 from policy.advantages import generalised_advantages
 from policy.episodes import GOAL_REWARD, STEP_REWARD, Episodes, drawn
-from policy.network import WIDTH, Actor, action_log_probabilities
+from policy.network import PAPER_WIDTH, Actor, action_log_probabilities
 from policy.observation import STEP_LIMIT
 from policy.simulator import Bools, Distribution, pair_weights
 from policy.verdicts import Draw
@@ -61,7 +61,11 @@ class Critic(nn.Module):
     def __init__(self, n_cells: int) -> None:
         super().__init__()
         self.layers = nn.Sequential(
-            nn.Linear(2 * n_cells + 2, WIDTH), nn.ReLU(), nn.Linear(WIDTH, WIDTH), nn.ReLU(), nn.Linear(WIDTH, 1)
+            nn.Linear(2 * n_cells + 2, PAPER_WIDTH),
+            nn.ReLU(),
+            nn.Linear(PAPER_WIDTH, PAPER_WIDTH),
+            nn.ReLU(),
+            nn.Linear(PAPER_WIDTH, 1),
         )
 
     def forward(self, state: Tensor) -> Tensor:

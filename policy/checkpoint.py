@@ -121,12 +121,14 @@ def unpack(contents: bytes, name: str, path: Path | None = None) -> tuple[Actor,
     try:
         if card.layout == Network.layout:
             network: Actor = Network(card.n_cells, card.n_hidden)
+        elif card.layout == ToldNetwork.layout:
+            network = ToldNetwork(card.n_cells, card.n_hidden)
         elif card.layout == PaperNetwork.layout and card.n_hidden == HIDDEN:
             network = PaperNetwork(card.n_cells)
         else:
             raise SetupError(
-                f"Policy '{name}' must read the inputs '{Network.layout}' or '{PaperNetwork.layout}', but was trained "
-                f"on '{card.layout}'. Use the program version it was trained with, or train it again."
+                f"Policy '{name}' must read the inputs {' or '.join(map(repr, LAYOUTS))}, but was trained on "
+                f"'{card.layout}'. Use the program version it was trained with, or train it again."
             )
         network.load_state_dict({name: tensor.float() for name, tensor in deserialize(contents).items()})
     except (RuntimeError, TypeError, ValueError, SafetensorError) as error:

@@ -58,12 +58,12 @@ def distil(
     draw: Draw,
     settings: DistillationSettings,
     progress: Progress = lambda update, figures: None,
-    start: Network | None = None,
+    network: Network | None = None,
 ) -> Network:
-    """Train an actor for decoders as ``draw`` gives them; ``start`` is a network to go on from."""
+    """Train an actor for decoders as ``draw`` gives them; ``network`` is one to go on from, or None for a fresh one."""
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng(settings.seed)
-    network = Network(world.n_cells, settings.n_hidden) if start is None else start.train()
+    network = (network or Network(world.n_cells, settings.n_hidden)).train()
     weights = pair_weights(world, settings.distribution)
     episodes = Episodes(world, settings.n_episodes, weights, draw, rng)
     optimizer = torch.optim.Adam(network.parameters(), eps=1e-5)
@@ -71,7 +71,7 @@ def distil(
     for update in range(settings.updates):
         done = update / settings.updates
         optimizer.param_groups[0]["lr"] = settings.learning_rate * max(1 - done, 1 / 400)
-        led = 0 if start else round(settings.n_episodes * max(0.0, 1 - done / settings.guided))
+        led = round(settings.n_episodes * max(0.0, 1 - done / settings.guided)) if settings.guided else 0
         segment = _Segment(network, planner, episodes, settings)
         hidden = segment.play(hidden.detach(), led)
         loss, figures = segment.loss()

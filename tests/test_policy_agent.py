@@ -1,84 +1,142 @@
+"""The live agent: it hears what its policy was trained to hear, moves as the evaluation does, and repeats itself."""
+
 import numpy as np
 import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
+from bci_app.errors import SetupError
 from bci_app.gridworld import ACTIONS, load_map
 from policy.agent import Agent
-from policy.checkpoint import choose, load
 from policy.evaluation import NetworkPlayer
-from policy.observation import VERDICTS
-from policy.simulator import Simulator, VerdictModel, pair_weights
+from policy.network import Network, PaperNetwork, ToldNetwork
+from policy.simulator import Pairs, Simulator, pair_weights
+from policy.told import Ear, Told
+from policy.verdicts import LIMIT, Verdicts, binary_evidence, binary_information, score_information
 
-NAMES = {code: name for name, code in VERDICTS.items()}
+OBSTACLES = load_map("obstacles")
+NOTHING = (False,) * 5
+TOLD = Told(0.66, 0.79, 0.21)
+PROBABLE = st.floats(0, 1)
 
 
-def shipped(name):
-    world = load_map(name)
-    network, _ = load(choose(0.75, world).path)
-    return network, world
+def ear(words, told=None):
+    return Ear(Verdicts.parse(words), told)
 
 
-def recorded_episodes(network, world, n=30, n_steps=40):
-    """The vectorised evaluation's moves and verdicts: (left, action, cell, verdict) of each step, and the goals."""
-    simulator = Simulator(
-        world, n, pair_weights(world, "distances"), VerdictModel(0.7, 0.8, 0.1), np.random.default_rng(4)
-    )
-    player = NetworkPlayer(network, world)
-    player.begin(simulator.view())
-    steps = []
-    for _ in range(n_steps):
-        left = simulator.cell.copy()
+def network(kind=Network, world=OBSTACLES):
+    torch.manual_seed(3)
+    return kind(world.n_cells).eval()
+
+
+def if_told(hit, correct_rejection):
+    return tuple(float(value) for value in binary_evidence(hit, correct_rejection))
+
+
+@pytest.mark.parametrize(
+    ("words", "error", "correct", "said_2", "information"),
+    [
+        ("none", 0.0, 0.0, 0.0, 0.0),
+        ("binary:0.8", *if_told(0.8, 0.8), if_told(0.8, 0.8)[0], binary_information(0.8, 0.8)),
+        ("rates:0.6:0.9", *if_told(0.6, 0.9), if_told(0.6, 0.9)[0], binary_information(0.6, 0.9)),
+        ("score:0.8", *if_told(0.8, 0.8), 2.0, score_information(0.8)),
+        ("told", *if_told(0.66, 0.79), 2.0, 0.21),
+    ],
+)
+def test_what_each_kind_of_policy_hears(words, error, correct, said_2, information):
+    one = ear(words, TOLD)
+    assert one.evidence("error", None) == pytest.approx(error)
+    assert one.evidence("correct", None) == pytest.approx(correct)
+    assert one.evidence("error", 2.0) == pytest.approx(said_2)
+    assert one.evidence("missing", None) == one.evidence("missing", 2.0) == 0
+    assert one.information == pytest.approx(float(information), rel=1e-6)
+
+
+def test_evidence_weighs_by_itself_whatever_the_word_and_within_its_bounds():
+    one = ear("told", TOLD)
+    assert one.evidence("correct", 0.3) == 0.3
+    assert one.evidence("error", -99.0) == -LIMIT
+    assert one.evidence("error", 99.0) == LIMIT
+
+
+def test_a_policy_that_must_be_told_and_is_not_says_so():
+    with pytest.raises(SetupError, match=r"must be told its decoder's statistics.*--told"):
+        ear("told")
+
+
+@given(PROBABLE, PROBABLE, PROBABLE)
+def test_what_is_told_makes_the_round_trip_to_the_bit(hit, correct_rejection, information):
+    told = Told(hit, correct_rejection, information)
+    assert Told.parse(str(told)) == told
+
+
+@pytest.mark.parametrize(
+    "text", ["", "0.6:0.7", "0.6:0.7:0.1:0.1", "a:0.7:0.2", "1.2:0.7:0.2", "0.6:nan:0.2", "-1:0:0"]
+)
+def test_other_words_are_not_told(text):
+    with pytest.raises(SetupError, match=r"HIT:CORRECT_REJECTION:BITS.*found"):
+        Told.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("kind", "words", "told"),
+    [
+        (Network, "binary:0.8", None),
+        (Network, "rates:0.6:0.9", None),
+        (PaperNetwork, "binary:0.8", None),
+        (ToldNetwork, "told", TOLD),
+    ],
+)
+def test_the_live_agent_moves_as_the_evaluation(kind, words, told):
+    """The same episodes, heard by the ear as words (or, told, as evidence) and in the simulator as evidence."""
+    world, actor, n = OBSTACLES, network(kind), 12
+    rng = np.random.default_rng(4)
+    start, goal = Pairs(pair_weights(world, "distances")).draw(n, rng)
+    decoders = Verdicts.parse("score:0.7" if told else words, 0.2)(n, rng)
+    if told:
+        decoders.information[:] = told.information
+    simulator = Simulator(world, start, goal, decoders, rng)
+    player, agents = NetworkPlayer(actor, world), [Agent(actor, ear(words, told), world) for _ in range(n)]
+    player.begin(simulator)
+    decisions = [
+        agent.begin(int(s), world.goal_sensed(int(s), int(g))) for agent, s, g in zip(agents, start, goal, strict=True)
+    ]
+    for _ in range(20):
         actions = player.act(simulator.view())
+        assert [decision.action for decision in decisions] == actions.tolist()
         simulator.step(actions)
-        steps.append((left, actions, simulator.cell.copy(), simulator.verdict.copy()))
-    return steps, simulator.goal
+        for i, agent in enumerate(agents):
+            evidence, cell = float(simulator.evidence[i]), int(simulator.cell[i])
+            word = "missing" if evidence == 0 else "error" if evidence > 0 else "correct"
+            sensed = world.goal_sensed(cell, int(goal[i]))
+            decisions[i] = agent.step(int(actions[i]), cell, sensed, word, evidence if told else None)
+            assert decisions[i].evidence == pytest.approx(evidence)
 
 
-@pytest.mark.parametrize("name", ["open", "obstacles"])
-def test_the_live_agent_moves_as_the_vectorised_evaluation(name):
-    network, world = shipped(name)
-    steps, goals = recorded_episodes(network, world)
-    for i, goal in enumerate(goals.tolist()):
-        agent, start = Agent(network, world), int(steps[0][0][i])
-        decision = agent.begin(start, world.goal_sensed(start, goal))
-        for _, actions, cells, verdicts in steps:
-            assert decision.action == actions[i]
-            cell = int(cells[i])
-            if cell == goal:
-                break
-            decision = agent.step(int(actions[i]), cell, world.goal_sensed(cell, goal), NAMES[int(verdicts[i])])
+def test_the_same_episode_gives_the_same_bits_and_nothing_is_left_of_the_last_one():
+    agent = Agent(network(), ear("told", TOLD), OBSTACLES)
 
-
-def test_the_same_episode_gives_the_same_bits_and_nothing_is_left_from_the_last_one():
-    network, world = shipped("open")
-    agent, nothing = Agent(network, world), (False,) * 5
-
-    def episode():
-        decisions, cell = [agent.begin(60, nothing)], 60
+    def episode(said):
+        decisions, cell = [agent.begin(40, NOTHING)], 40
         for verdict in ("error", "missing", "correct", "error"):
             action = decisions[-1].action
-            cell = int(world.next_cell[cell, action])
-            decisions.append(agent.step(action, cell, nothing, verdict))
+            cell = int(OBSTACLES.next_cell[cell, action])
+            decisions.append(agent.step(action, cell, NOTHING, verdict, said))
         return decisions
 
-    assert episode() == episode()
+    first = episode(None)
+    episode(3.0)
+    assert episode(None) == first
 
 
 def test_probabilities_are_of_the_legal_actions():
-    network, world = shipped("open")
-    decision = Agent(network, world).begin(0, (False,) * 5)
+    decision = Agent(network(), ear("none"), OBSTACLES).begin(0, NOTHING)
     assert sum(decision.probabilities) == pytest.approx(1, abs=1e-6)
     assert [decision.probabilities[ACTIONS.index(a)] for a in ("north", "west")] == [0, 0]
     assert decision.probabilities[decision.action] == max(decision.probabilities)
 
 
-def test_a_goal_that_is_sensed_is_entered():
-    network, world = shipped("open")
-    for action in range(4):
-        sensed = tuple(i == action + 1 for i in range(5))
-        assert Agent(network, world).begin(60, sensed).action == action
-
-
 def test_a_step_without_an_episode_is_a_programming_error():
-    network, world = shipped("open")
     with pytest.raises(RuntimeError, match=r"before Agent\.begin"):
-        Agent(network, world).step(0, 49, (False,) * 5, "error")
+        Agent(network(), ear("none"), OBSTACLES).step(0, 49, NOTHING, "error")

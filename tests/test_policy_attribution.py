@@ -3,9 +3,9 @@ import pytest
 import torch
 
 from bci_app.gridworld import compile_map
-from policy.attribution import METHODS, attributions, effect_of, record
-from policy.influence import CellMeans, mean_by_episode
-from policy.network import Network, PaperNetwork
+from policy.experiment1.attribution import METHODS, attributions, effect_of, record
+from policy.experiment1.influence import CellMeans, mean_by_episode
+from policy.network import Network, PaperNetwork, ToldNetwork
 from policy.verdicts import Verdicts, binary_evidence
 
 torch.set_num_threads(1)  # small matrices: more threads only wait for each other
@@ -25,7 +25,7 @@ def network_of(kind, seed=0):
 @pytest.fixture(params=[Network, PaperNetwork], scope="module")
 def played(request):
     network = network_of(request.param)
-    steps = record(network, HALL, RIGHT, 12, seed=1)
+    steps = record(network, HALL, RIGHT, 4, seed=1)
     return network, steps, effect_of(network, steps, SCALE)
 
 
@@ -50,24 +50,41 @@ def test_verdicts_are_counted_in_verdicts_whatever_their_evidence(played):
 def test_the_first_step_of_an_episode_has_no_verdict_and_is_left_out(played):
     _, steps, _ = played
     assert steps.view.step.min() == 1
-    assert set(steps.episode) == set(range(12))
+    assert set(steps.episode) == set(range(4))
+
+
+@pytest.mark.parametrize(("accuracy", "part"), [(0.8, "listening"), (0.55, "searching")])
+def test_of_a_told_policy_the_part_that_plays_counts(accuracy, part):
+    torch.manual_seed(0)
+    told = ToldNetwork(HALL.n_cells, hidden=80).eval()
+    steps = record(told, HALL, Verdicts("binary", (accuracy,)), 2, seed=0)
+    effect = effect_of(told, steps, SCALE)
+    played = told(told.look(HALL, steps.view), steps.hidden).logits
+    legal = torch.from_numpy(HALL.legal[steps.view.cell])
+    expected = torch.log_softmax(played.masked_fill(~legal, -torch.inf), dim=1).max(dim=1).values
+    torch.testing.assert_close(effect(effect.verdict, effect.position, everything(effect)), expected)
+    getattr(told, part).judged.weight.data.zero_()
+    getattr(told, part).judged_sure.weight.data.zero_()
+    assert (attributions(effect, "gradient")[0] == 0).all()
 
 
 def test_gradients_are_finite_differences(played):
     _, _, effect = played
     by_verdict, by_position = attributions(effect, "gradient")
-    rows, small = everything(effect), 2e-3
+    rows, small = everything(effect), 1e-3
 
     def slope(change_verdict, change_position):
         up = effect(effect.verdict + change_verdict, effect.position + change_position, rows)
         down = effect(effect.verdict - change_verdict, effect.position - change_position, rows)
         return ((up - down) / (2 * small)).detach().numpy()
 
-    np.testing.assert_allclose(by_verdict, slope(small, 0), atol=5e-3)
-    for number in range(by_position.shape[1]):
-        change = torch.zeros(by_position.shape[1])
-        change[number] = small
-        np.testing.assert_allclose(by_position[:, number], slope(0, change), atol=5e-3)
+    def agree(found, expected):
+        # Not where a unit of the head begins to answer within the difference: there the function has a corner.
+        assert np.mean(np.abs(found - expected) < 3e-3) > 0.9
+
+    agree(by_verdict, slope(small, 0))
+    for number, change in enumerate(small * torch.eye(by_position.shape[1])):
+        agree(by_position[:, number], slope(0, change))
 
 
 def test_integrated_gradients_sum_to_what_the_input_changes(played):
@@ -78,8 +95,8 @@ def test_integrated_gradients_sum_to_what_the_input_changes(played):
         present = effect(effect.verdict, effect.position, rows)
         unheard = effect(torch.zeros_like(effect.verdict), effect.position, rows)
         nowhere = effect(effect.verdict, effect.nowhere.expand_as(effect.position), rows)
-    np.testing.assert_allclose(by_verdict, (present - unheard).numpy(), atol=2e-3)
-    np.testing.assert_allclose(by_position.sum(axis=1), (present - nowhere).numpy(), atol=2e-3)
+    np.testing.assert_allclose(by_verdict, (present - unheard).numpy(), atol=1e-2)
+    np.testing.assert_allclose(by_position.sum(axis=1), (present - nowhere).numpy(), atol=1e-2)
     assert (by_verdict[effect.verdict[:, 0].numpy() == 0] == 0).all()
 
 
@@ -97,7 +114,7 @@ def test_a_policy_that_is_deaf_owes_nothing_to_verdicts(method):
     network = network_of(Network)
     for table in (network.judged, network.judged_sure):
         table.weight.data.zero_()
-    effect = effect_of(network, record(network, HALL, RIGHT, 5, seed=0), SCALE)
+    effect = effect_of(network, record(network, HALL, RIGHT, 2, seed=0), SCALE)
     by_verdict, by_position = attributions(effect, method)
     assert (by_verdict == 0).all()
     assert (by_position != 0).any()
@@ -109,7 +126,7 @@ def test_what_is_the_same_in_all_cells_isnt_owed_to_the_position(method):
     network, turned = network_of(Network), network_of(Network)
     turned.move.weight.data += 0.5
     turned.sensed.weight.data -= 0.5
-    steps = record(network, HALL, RIGHT, 5, seed=0)
+    steps = record(network, HALL, RIGHT, 2, seed=0)
     found, same = (attributions(effect_of(each, steps, SCALE), method)[1] for each in (network, turned))
     np.testing.assert_allclose(found, same, atol=1e-4)
 

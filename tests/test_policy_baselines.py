@@ -1,89 +1,126 @@
+"""What is reachable without learning takes the documented number of steps, and a name finds who plays."""
+
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from bci_app.gridworld import load_map
-from policy.baselines import BayesFilter
-from policy.evaluation import BayesPlayer, evaluate
-from policy.simulator import COIN_FLIPS, NO_VERDICTS, Simulator, VerdictModel, pair_weights
+from bci_app.errors import SetupError
+from bci_app.gridworld import compile_map, load_map
+from policy import checkpoint, teachers
+from policy.baselines import BayesPlayer, OraclePlayer, PlannerPlayer, SearchPlayer
+from policy.checkpoint import PolicyCard
+from policy.evaluation import NetworkPlayer, evaluate
+from policy.network import Network
+from policy.planner import PlannerSettings
+from policy.players import heard, player_of
+from policy.simulator import Simulator, pair_weights
+from policy.verdicts import Decoders, Verdicts
 
-WORLDS = {name: load_map(name) for name in ("open", "obstacles")}
-
-
-def walk(world, verdicts, n=50, n_steps=15, seed=0):
-    """Random walks with a filter beside them; yields simulator, filter and the cells left with the actions."""
-    rng = np.random.default_rng(seed)
-    weights = pair_weights(world, "pairs")
-    simulator = Simulator(world, n, weights, verdicts, rng)
-    belief = BayesFilter(world, n, weights, verdicts)
-    belief.begin(np.ones(n, bool), simulator.view())
-    for _ in range(n_steps):
-        left = simulator.cell.copy()
-        actions = np.array([rng.choice(np.flatnonzero(world.legal[cell])) for cell in left])
-        simulator.step(actions)
-        belief.update(simulator.view())
-        yield simulator, belief, left, actions
+OPEN, RING = load_map("open"), compile_map("....\n.##.\n.##.\n....", "ring")
+BINARY = Verdicts("binary", (0.7,))
 
 
-@pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
-def test_a_belief_sums_to_one_and_never_excludes_the_goal(world):
-    for simulator, belief, _, _ in walk(world, VerdictModel.right(0.75)):
-        np.testing.assert_allclose(belief.belief.sum(axis=1), 1, rtol=1e-4)
-        assert (belief.belief[np.arange(50), simulator.goal] > 0).all()
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A library of the ring: a teacher and a policy trained at 0.75."""
+    path = tmp_path_factory.mktemp("library")
+    settings = PlannerSettings(n_episodes=8, n_steps=2, n_minibatches=1, updates=1, critic_updates=0)
+    checkpoint.write(teachers.path_of(path, RING), teachers.make(RING, settings))
+    card = PolicyCard(RING.name, RING.digest, "binary:0.75", "ours", Network.layout, RING.n_cells, 8, {})
+    checkpoint.write(path / "ring_075.safetensors", checkpoint.pack(Network(RING.n_cells, 8), card))
+    return path
 
 
-@given(st.sampled_from(sorted(WORLDS)), st.floats(0.05, 0.95), st.floats(0.05, 0.95), st.integers(0, 999))
-@settings(max_examples=15, deadline=None)
-def test_the_belief_is_bayes_rule_spelt_out(name, hit, correct_rejection, seed):
-    world, n = WORLDS[name], 3
-    model = VerdictModel(hit, correct_rejection, missing=0.1)
-    posterior = None
-    for simulator, belief, left, actions in walk(world, model, n=n, n_steps=12, seed=seed):
-        if posterior is None:
-            posterior = np.ones((n, world.n_cells))
-            for i in range(n):
-                posterior[i, world.distance[left[i]] < 2] = 0
-        for i in range(n):
-            here, goal = int(simulator.cell[i]), int(simulator.goal[i])
-            for g in range(world.n_cells):
-                agrees = world.goal_sensed(here, g) == world.goal_sensed(here, goal)
-                chance = hit if world.is_error(int(left[i]), int(actions[i]), g) else 1 - correct_rejection
-                said = {0: 1.0, 1: chance, -1: 1 - chance}[int(simulator.verdict[i])]
-                posterior[i, g] *= agrees * said
-        expected = posterior / posterior.sum(axis=1, keepdims=True)
-        np.testing.assert_allclose(belief.belief, expected, rtol=1e-3, atol=1e-6)
+@pytest.mark.parametrize(
+    ("words", "expected"), [("none", 24.4), ("binary:0.7", 16.7), ("binary:0.8", 12.8), ("score:0.7", 14.9)]
+)
+def test_the_filter_takes_the_documented_number_of_steps(words, expected):
+    """SPEC section 6: what is reachable on `open`; without verdicts a shorter view ahead than there is better."""
+    player = BayesPlayer(OPEN, pair_weights(OPEN, "pairs"))
+    result = evaluate(player, OPEN, Verdicts.parse(words), n=2000)
+    assert result.mean_steps == pytest.approx(expected, rel=0.06)
 
 
-def test_coin_flips_and_missing_verdicts_teach_nothing():
-    world = WORLDS["open"]
-    flips = [belief.belief.copy() for _, belief, _, _ in walk(world, COIN_FLIPS)][-1]
-    for row in flips:
-        assert len(np.unique(row[row > 0].round(6))) == 1
-    assert COIN_FLIPS.likelihood()[0].tolist() == [1, 1]
+def test_certain_verdicts_find_every_goal_soon():
+    result = evaluate(BayesPlayer(OPEN, pair_weights(OPEN, "pairs")), OPEN, Verdicts("binary", (1.0,)), n=1000)
+    assert result.success_60 == 1
+    assert result.mean_steps == pytest.approx(9.4, rel=0.05)
 
 
-def test_belief_is_calibrated():
-    """Of the goals believed with probability p, the share p is right."""
-    *_, (simulator, belief, _, _) = walk(WORLDS["open"], VerdictModel.right(0.8), n=4000, n_steps=10)
-    right = np.arange(121) == simulator.goal[:, None]
-    for low, high in ((0.01, 0.05), (0.05, 0.2), (0.2, 0.6)):
-        band = (belief.belief >= low) & (belief.belief < high)
-        assert right[band].mean() == pytest.approx(belief.belief[band].mean(), rel=0.15)
+@pytest.mark.parametrize("name", ["bayes", "planner", "sweep", "oracle"])
+def test_whoever_is_kept_plays_on_as_if_alone(folder, name):
+    """A player that forgets episodes goes on with the others as one that never knew them."""
+    which = np.arange(12) % 3 == 0
+    start, goal = (column[:12] for column in np.nonzero(RING.distance == 6))
+
+    def moves(drops):
+        player, _ = player_of(name, RING, BINARY, folder)
+        # No ties to be broken by chance: a verdict a step, always right.
+        decoders = Decoders.score(12, 0.9, missing=0.0)
+        decoders.distance[:] = 40
+        simulator = Simulator(RING, start, goal, decoders, np.random.default_rng(0))
+        player.begin(simulator)
+        taken = []
+        for step in range(5):
+            if step == 2 and drops:
+                player.keep(which)
+                simulator.keep(which)
+            action = player.act(simulator.view())
+            simulator.step(action)
+            taken.append(action if drops and step >= 2 else action[which])
+        return taken[2:]
+
+    for one, other in zip(moves(True), moves(False), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize(("accuracy", "expected"), [(None, 24.4), (0.70, 16.7), (0.75, 14.5), (0.80, 12.8), (1.0, 9.4)])
-def test_the_filter_takes_the_documented_number_of_steps(accuracy, expected):
-    """docs SPEC section 6: what is reachable on `open` with binary verdicts."""
-    world = WORLDS["open"]
-    verdicts = NO_VERDICTS if accuracy is None else VerdictModel.right(accuracy)
-    player = BayesPlayer(world, pair_weights(world, "pairs"), verdicts)
-    result = evaluate(player, world, verdicts, "pairs", n=2000)
-    assert result.unlimited_steps == pytest.approx(expected, rel=0.06)
+def test_names_find_players(folder):
+    kinds = {"bayes": BayesPlayer, "planner": PlannerPlayer, "sweep": SearchPlayer, "oracle": OraclePlayer}
+    for name, kind in kinds.items():
+        player, verdicts = player_of(name, RING, BINARY, folder)
+        assert isinstance(player, kind)
+        assert verdicts == BINARY
+    for name in ("ring_075", "075", str(folder / "ring_075.safetensors")):
+        player, verdicts = player_of(name, RING, BINARY, folder)
+        assert isinstance(player, NetworkPlayer)
+        assert verdicts.taken_for == Verdicts("binary", (0.75,))
 
 
-def test_with_perfect_verdicts_and_a_known_line_the_move_is_never_illegal():
-    world = WORLDS["obstacles"]
-    for _, belief, _, _ in walk(world, VerdictModel.right(1.0), n_steps=8):
-        action = belief.greedy(np.random.default_rng(0))
-        assert world.legal[belief._cell, action].all()
+def test_an_unknown_name_lists_the_known_ones(folder):
+    with pytest.raises(SetupError, match=r"No policy 'best': expected a file, one of bayes.*ring_075"):
+        player_of("best", RING, BINARY, folder)
+
+
+def test_a_policy_of_another_map_and_a_missing_teacher_are_refused(folder):
+    with pytest.raises(SetupError, match=r"trained on map 'ring'.*map is 'open'"):
+        player_of("ring_075", OPEN, BINARY, folder)
+    with pytest.raises(SetupError, match=r"planner of map 'open' must be in .*bci-app train --map open"):
+        player_of("planner", OPEN, BINARY, folder)
+
+
+@pytest.mark.parametrize(
+    ("trained", "given", "kind", "taken_for"),
+    [
+        ("none", "binary:0.7", "none", None),
+        ("binary:0.8", "binary:0.7", "binary:0.7", "binary:0.8"),
+        ("binary:0.8", "score:0.7", "binary:0.7", "binary:0.8"),  # it takes the word, not the score
+        ("binary:0.8", "rates:0.6:0.9", "rates:0.6:0.9", "binary:0.8"),
+        ("binary:0.8", "none", "none", None),
+        ("score:0.8", "score:0.7", "score:0.7", "score:0.8"),
+        ("told", "score:0.7", "score:0.7", None),
+        ("told", "rates:0.6:0.9", "rates:0.6:0.9", None),
+    ],
+)
+def test_how_each_kind_of_policy_hears_verdicts(trained, given, kind, taken_for):
+    found = heard(Verdicts.parse(trained), Verdicts.parse(given))
+    assert str(found) == kind
+    assert found.taken_for == (taken_for and Verdicts.parse(taken_for))
+
+
+def test_a_teacher_that_is_damaged_or_of_another_map_is_refused(folder):
+    contents = teachers.path_of(folder, RING).read_bytes()
+    assert teachers.read(contents, RING, "x").paths.shape[0] == RING.n_cells
+    with pytest.raises(SetupError, match=r"knows map 'ring'.*not 'open'"):
+        teachers.read(contents, OPEN, "x")
+    for bad in (b"", b"junk" * 9, contents[:-9], (folder / "ring_075.safetensors").read_bytes()):
+        with pytest.raises(SetupError, match="must be a teacher written by"):
+            teachers.read(bad, RING, "x")

@@ -1,64 +1,76 @@
-"""The shipped policies keep what the README says of them, each on 1000 fresh episodes."""
+"""The shipped policies keep what is said of them, against the Bayes filter on the same 4000 episodes.
+
+The full figures, 20,000 episodes each, are benchmarks/policy_steps.py's; here a tenth of a step is noise, so the bounds
+are a little wider.
+"""
+
+from pathlib import Path
 
 import pytest
 import torch
 
-from bci_app.gridworld import load_map
-from policy.checkpoint import check_fits, choose, load
-from policy.evaluation import NetworkPlayer, evaluate
-from policy.simulator import COIN_FLIPS, NO_VERDICTS, VerdictModel
+from bci_app.gridworld import SHIPPED_MAPS, load_map
+from policy.checkpoint import PRETRAINED, check_fits, library, load
+from policy.evaluation import Result, evaluate
+from policy.library import everything
+from policy.players import player_of
+from policy.verdicts import Verdicts
 
 torch.set_num_threads(1)  # small matrices: more threads only wait for each other
-MAPS = ("open", "obstacles")
+N = 4000
 
 
-def shipped(name, accuracy):
+def result(name: str, player: str, verdicts: Verdicts, distribution: str = "pairs") -> Result:
     world = load_map(name)
-    network, card = load(choose(accuracy, world).path)
-    check_fits(card, world)
-    assert card.accuracy == accuracy
-    return NetworkPlayer(network, world), world
+    playing, heard = player_of(player, world, verdicts, PRETRAINED)
+    return evaluate(playing, world, heard, distribution, N, seed=77)
 
 
-def result(name, trained, verdicts, distribution="distances", n=1000):
-    player, world = shipped(name, trained)
-    return evaluate(player, world, verdicts, distribution, n=n, seed=77)
+def test_the_library_is_whole_and_fits_the_maps() -> None:
+    cards = library()
+    assert len(cards) == len({card.name for card in cards}) == len(SHIPPED_MAPS) * len(everything())
+    for card in cards:
+        assert isinstance(card.path, Path)
+        assert card.path.stem == card.name
+        load(card.path)
+        check_fits(card, load_map(card.map))
 
 
-@pytest.mark.parametrize("name", MAPS)
-@pytest.mark.parametrize(("accuracy", "steps", "success"), [(0.70, 20.0, 0.98), (0.75, 18.0, 0.98), (0.80, 16.5, 0.98)])
-def test_the_experiments_episodes_take_few_steps(name, accuracy, steps, success):
-    found = result(name, accuracy, VerdictModel.right(accuracy))
-    assert found.steps - found.steps_half_width < steps
-    assert found.success_interval[1] > success
-    assert found.success > success - 0.01
+@pytest.mark.parametrize("name", SHIPPED_MAPS)
+@pytest.mark.parametrize("accuracy", [0.6, 0.7, 0.8, 1.0])
+def test_binary_policies_need_no_more_steps_than_the_bayes_filter(name: str, accuracy: float) -> None:
+    verdicts = Verdicts("binary", (accuracy,))
+    bayes, ours = (result(name, player, verdicts) for player in ("bayes", f"{accuracy * 100:03.0f}"))
+    assert ours.mean_steps < 1.04 * bayes.mean_steps
 
 
-@pytest.mark.parametrize("name", MAPS)
-def test_without_verdicts_the_map_is_still_searched(name):
-    """Paper, Table 1: 51.2 and 50.7 steps, 79.7 and 69.4 % success without verdicts."""
-    found = result(name, None, NO_VERDICTS)
-    assert found.success > 0.94
-    assert found.unlimited_steps < 30
+@pytest.mark.parametrize("name", SHIPPED_MAPS)
+def test_without_verdicts_the_search_is_known_by_heart(name: str) -> None:
+    assert result(name, "none", Verdicts("none")).mean_steps == result(name, "sweep", Verdicts("none")).mean_steps
+    assert result(name, "none", Verdicts("none"), "distances").success_60 > 0.96
 
 
-@pytest.mark.parametrize("name", MAPS)
-def test_coin_flips_are_worse_than_verdicts_and_worse_than_none(name):
-    useful = result(name, 0.75, VerdictModel.right(0.75))
-    flips = result(name, 0.75, COIN_FLIPS)
-    assert flips.steps - flips.steps_half_width > useful.steps + useful.steps_half_width
-    assert flips.success < useful.success
-    assert flips.steps > result(name, None, NO_VERDICTS).steps
+@pytest.mark.parametrize("name", SHIPPED_MAPS)
+@pytest.mark.parametrize("words", ["score:0.6", "score:0.7", "score:0.85", "binary:0.75", "rates:0.654:0.859"])
+def test_the_told_policy_makes_the_list_unnecessary(name: str, words: str) -> None:
+    verdicts = Verdicts.parse(words)
+    assert result(name, "told", verdicts).mean_steps < 1.05 * result(name, "bayes", verdicts).mean_steps
 
 
-@pytest.mark.parametrize("name", MAPS)
-def test_decoders_that_miss_errors_are_borne(name):
-    """Hit .654 and correct rejection .859, of 16 real people (Ehrlich & Cheng 2018, our count)."""
-    found = result(name, 0.75, VerdictModel(0.654, 0.859))
-    assert found.success > 0.96
-    assert found.steps < 21
+@pytest.mark.parametrize("name", SHIPPED_MAPS)
+def test_a_dead_decoder_does_no_harm(name: str) -> None:
+    """One of 108 errors found, no correct move called an error: person s10 of Ehrlich & Cheng 2018."""
+    dead = Verdicts("rates", (1 / 108, 1.0), taken_for=Verdicts("rates", (1.5 / 109, 42.5 / 43)))
+    assert result(name, "told", dead).mean_steps <= result(name, "none", Verdicts("none")).mean_steps
 
 
-def test_missing_verdicts_are_borne():
-    found = result("open", 0.75, VerdictModel.right(0.75, missing=0.2))
-    assert found.success > 0.95
+@pytest.mark.parametrize("name", SHIPPED_MAPS)
+def test_the_experiments_episodes_succeed(name: str) -> None:
+    """Published: 83.19 and 76.70 % at 0.70, 95.86 and 94.21 % at 0.80."""
+    assert result(name, "070", Verdicts("binary", (0.7,)), "distances").success_60 > 0.985
+    assert result(name, "080", Verdicts("binary", (0.8,)), "distances").success_60 > 0.997
+
+
+def test_missing_verdicts_are_borne() -> None:
+    there, gone = (result("open", "told", Verdicts("score", (0.75,), missing)) for missing in (0.0, 0.2))
+    assert there.mean_steps < gone.mean_steps < 1.25 * there.mean_steps

@@ -107,7 +107,9 @@ def test_parallel_episodes_are_as_many_single_ones(seed, n):
 
 
 def test_an_episode_that_begins_anew_leaves_the_others_alone():
-    start, goal, _ = (np.array(c) for c in zip(*(a_walk(OPEN, np.random.default_rng(i), 0, 0) for i in range(4))))
+    start, goal, _ = (
+        np.array(c) for c in zip(*(a_walk(OPEN, np.random.default_rng(i), 0, 0) for i in range(4)), strict=False)
+    )
     disturbed, left_alone = begun(OPEN, start, goal), begun(OPEN, start, goal)
     which, others = np.array([False, True, False, True]), [0, 2]
     for step in range(12):
@@ -128,7 +130,9 @@ def test_an_episode_that_begins_anew_leaves_the_others_alone():
 
 
 def test_kept_episodes_go_on_as_before():
-    start, goal, _ = (np.array(c) for c in zip(*(a_walk(OPEN, np.random.default_rng(i), 0, 0) for i in range(5))))
+    start, goal, _ = (
+        np.array(c) for c in zip(*(a_walk(OPEN, np.random.default_rng(i), 0, 0) for i in range(5)), strict=False)
+    )
     all_of_them, kept = begun(OPEN, start, goal), begun(OPEN, start, goal)
     which = np.array([True, False, False, True, True])
     for step in range(8):

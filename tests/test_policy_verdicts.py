@@ -1,5 +1,7 @@
 """Simulated decoders: how often they are right, and that what they say is worth what they claim."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -67,7 +69,7 @@ def test_evidence_is_calibrated(words):
     """Where errors and correct moves are equally frequent, P(error | evidence) = sigmoid(evidence)."""
     evidence = np.concatenate(drawn(words))
     edges = np.unique(np.quantile(evidence, np.linspace(0, 1, 11)))
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in itertools.pairwise(edges):
         here = (evidence >= low) & (evidence <= high)
         assert TRUTH[here].mean() == pytest.approx(expit(evidence[here]).mean(), abs=0.02)
 

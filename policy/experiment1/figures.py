@@ -12,9 +12,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter
 
-from policy.figures_on_maps import gradient_maps, trajectories
-from policy.plotting import (
+from policy.experiment1.figures_on_maps import gradient_maps, trajectories
+from policy.experiment1.plotting import (
     BLACK,
     BLUE,
     DPI,
@@ -44,7 +45,7 @@ MAP_LOOKS: tuple[dict[str, Any], ...] = (
     {"marker": "o"},
     {"marker": "s", "linestyle": "--", "markerfacecolor": "white"},
 )
-MEAN_AT = 22.5  # beside the distances, up to 20
+MEAN_AT, PUBLISHED_AT = 22.4, 23.4  # beside the distances, up to 20
 NONE_AT = 50.0  # per cent: where no verdicts are drawn, for verdicts of that accuracy say as much
 
 
@@ -53,7 +54,7 @@ def draw(tables: Tables, layouts: dict[str, list[str]], folder: Path) -> dict[st
 
     Parameters
     ----------
-    tables : as `policy.experiment1` makes them.
+    tables : as `policy.experiment1.tables` makes them.
     layouts : each map's name and the lines of its file.
     """
     maps = list(layouts)
@@ -73,6 +74,8 @@ def draw(tables: Tables, layouts: dict[str, list[str]], folder: Path) -> dict[st
         for name, made in figures.items():
             figure = made()
             if figure is not None:
+                figure.draw_without_rendering()
+                figure.set_layout_engine("none")  # it is laid out once for all formats
                 written[name] = [folder / f"{name}.{ending}" for ending in FORMATS]
                 for path in written[name]:
                     undated = (
@@ -113,6 +116,8 @@ def _learning_curves(rows: list[Row], maps: list[str]) -> Figure | None:
                 curve = those(rows, map=name, series=series, accuracy=None if key == 0.5 else key)
                 axes.plot(np.array(column(curve, "moves")) / 1e6, column(curve, "mean_steps"), **styles[key])
             axes.set(title=f"{title(name)}, {SERIES[series][0]}", xlabel="Training moves (millions)")
+            # An episode has 60 steps at most; the first means are of the few that had ended by then, and mean nothing.
+            axes.set_ylim(0, 62)
         line[0].set_ylabel("Steps an episode, mean")
     handles = [Line2D([], [], **styles[key], label="none" if key == 0.5 else f"{100 * key:.0f} %") for key in known]
     figure.legend(handles=handles, loc="outside right center", title="Verdicts right")
@@ -143,9 +148,10 @@ def _steps_by_accuracy(rows: list[Row], maps: list[str]) -> Figure | None:
         for series, style in bounds.items():
             for row in those(rows, map=name, series=series):
                 axes.axhline(row["mean_steps"], zorder=1, **style)
-        axes.set(title=title(name), xlabel="Verdicts right (%)", ylim=(0, None))
+        axes.set(title=title(name), xlabel="Verdicts right (%)")
         axes.set_xticks([NONE_AT, *range(60, 101, 10)], ["none", *map(str, range(60, 101, 10))])
     grid[0, 0].set_ylabel("Steps to the goal, mean")
+    grid[0, 0].set_ylim(0, None)  # of both, when both are full
     shown = {series for series in (*styles, *bounds) if those(rows, series=series)}
     _legend(figure, [Line2D([], [], **s) for key, s in {**styles, **bounds}.items() if key in shown], 3)
     return figure
@@ -158,7 +164,7 @@ def _robustness(rows: list[Row], maps: list[str]) -> Figure | None:
     colours = {0.75: BLUE, 1.0: ORANGE, None: GREEN}
     looks: dict[str, dict[str, Any]] = {
         "ours": {"marker": "o"},
-        "told": {"marker": "o"},
+        "told": {"marker": "^"},
         "paper": {"marker": "s", "linestyle": "--", "markerfacecolor": "white"},
         "published": {"marker": "D", "linestyle": "none", "markersize": 5, "markeredgecolor": BLACK},
     }
@@ -178,9 +184,10 @@ def _robustness(rows: list[Row], maps: list[str]) -> Figure | None:
                 handles[series, trained] = Line2D(
                     [], [], **style, label=words.get(series, "published, trained at") + at
                 )
-        axes.set(title=title(name), xlabel="Verdicts right in use (%)", ylim=(0, None))
+        axes.set(title=title(name), xlabel="Verdicts right in use (%)")
         axes.set_xticks(range(70, 101, 5))
     grid[0, 0].set_ylabel("Steps to the goal, mean")
+    grid[0, 0].set_ylim(0, None)  # of both, when both are full
     _legend(figure, list(handles.values()), 3)
     return figure
 
@@ -200,10 +207,13 @@ def _gradients(rows: list[Row], maps: list[str]) -> Figure | None:
                     _line(axes, _percent(found), found, "mean", **style)
                     if found:
                         handles[series, map_name] = Line2D([], [], **style, label=f"{word}, {title(map_name).lower()}")
-            axes.set(yscale="log", title=f"{method.capitalize() if method.islower() else method}, {name}")
-        line[0].set_ylabel(f"Mean |effect| of the {name}")
+            axes.set(yscale="log", title=f"{method[0].upper()}{method[1:]}, {name}")
+            axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.yaxis.set_minor_formatter(NullFormatter())
+            axes.set_ylabel("nats" if method == "integrated gradients" else "nats a unit")
     for axes in grid[-1]:
-        axes.set(xlabel="Verdicts right, in training and use (%)")
+        axes.set(xlabel="Verdicts right (%)")
         axes.set_xticks([70, 75, 80, 100])
     _legend(figure, list(handles.values()), 3)
     return figure
@@ -230,10 +240,10 @@ def _success(tables: Tables, maps: list[str]) -> Figure | None:
                     axes.plot(MEAN_AT, 100 * row["success"], **look)
                     if row["published"] is not None:
                         there = {**PUBLISHED, "markeredgecolor": look["color"]}
-                        axes.plot(MEAN_AT, 100 * row["published"], **there)
+                        axes.plot(PUBLISHED_AT, 100 * row["published"], **there)
             axes.axvline(MEAN_AT - 1.2, color="0.8", linewidth=0.8)
             axes.set(title=f"{title(name)}, {SERIES[series][0]}")
-            axes.set_xticks([2, 5, 10, 15, 20, MEAN_AT], ["2", "5", "10", "15", "20", "mean"])
+            axes.set_xticks([2, 5, 10, 15, 20, (MEAN_AT + PUBLISHED_AT) / 2], ["2", "5", "10", "15", "20", "mean"])
         line[0].set_ylabel("Success within 60 steps (%)")
     for axes in grid[-1]:
         axes.set_xlabel("Initial distance (moves)")

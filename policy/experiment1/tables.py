@@ -15,12 +15,12 @@ import numpy as np
 
 from bci_app.gridworld import SHIPPED_MAPS, GridWorld, load_map
 from bci_app.progress import Progress
-from policy import figures, influence, published
 from policy.baselines import BayesPlayer, OraclePlayer
 from policy.evaluation import Played, Player, evaluate, play_many, summarise, wilson
+from policy.experiment1 import figures, influence, published
+from policy.experiment1.shelf import Series, Shelf, verdicts_of
 from policy.observation import STEP_LIMIT
 from policy.players import heard
-from policy.shelf import Series, Shelf, verdicts_of
 from policy.simulator import MAX_DISTANCE, MIN_DISTANCE, Simulator, pair_weights
 from policy.verdicts import Verdicts
 

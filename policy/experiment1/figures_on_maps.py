@@ -6,16 +6,21 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 from bci_app.gridworld import OBSTACLE
-from policy.plotting import BLACK, GREEN, VERMILION, Row, Tables, column, sheet, those, title
+from policy.experiment1.plotting import BLACK, GREEN, VERMILION, Row, Tables, column, sheet, those, title
 
 BORDER = 2
 """Cells from the wall that the titles count as edge; the table has others, too."""
 WALL = "0.35"
 LANES = 0.16
 """Part of a cell by which a path drifts from its first step to its last, so that ways back lie beside ways there."""
+
+START: dict[str, Any] = {"marker": "o", "markersize": 9, "color": VERMILION, "markeredgecolor": BLACK}
+GOAL: dict[str, Any] = {"marker": "*", "markersize": 13, "color": GREEN, "markeredgecolor": BLACK}
+ERROR: dict[str, Any] = {"marker": "x", "markersize": 5, "color": BLACK}
 
 
 def gradient_maps(tables: Tables, layouts: dict[str, list[str]], series: str) -> Figure | None:
@@ -24,7 +29,7 @@ def gradient_maps(tables: Tables, layouts: dict[str, list[str]], series: str) ->
     accuracies = sorted({row["accuracy"] for row in rows})
     if not accuracies:
         return None
-    figure, grid = sheet(len(layouts), len(accuracies), 2.15 * len(layouts) + 0.3)
+    figure, grid = sheet(len(layouts), len(accuracies), 2.35 * len(layouts) + 0.5)
     for line, (name, layout) in zip(grid, layouts.items(), strict=True):
         for axes, accuracy in zip(line, accuracies, strict=True):
             image = np.full((len(layout), len(layout[0])), np.nan)
@@ -32,20 +37,26 @@ def gradient_maps(tables: Tables, layouts: dict[str, list[str]], series: str) ->
                 image[row["row"], row["column"]] = row["gradient"]
             _grid(axes, layout)
             if np.isfinite(image).any():
-                shown = axes.imshow(image, cmap="viridis", vmin=0, zorder=1)
-                bar = figure.colorbar(shown, ax=axes, shrink=0.72, pad=0.03)
+                # A cell where hardly anybody comes may have any mean: it mustn't take all the colours.
+                most = float(np.nanpercentile(image, 98)) or 1.0
+                shown = axes.imshow(image, cmap="viridis", vmin=0, vmax=most, zorder=1)
+                bar = figure.colorbar(shown, ax=axes, location="bottom", shrink=0.85, pad=0.03, aspect=18, extend="max")
                 bar.ax.tick_params(labelsize=6)
                 bar.ax.locator_params(nbins=4)
-            axes.set_title(_compared(tables["centre_edge"], name, series, accuracy), fontsize=7)
+            axes.set_title(_compared(tables["centre_edge"], name, series, accuracy), fontsize=8)
         line[0].set_ylabel(title(name))
-    figure.suptitle("Mean |gradient| of the verdict by cell; verdicts right in training and use", fontsize=9)
+    figure.suptitle(
+        "Mean |gradient| of the verdict by cell (nats a unit), by share of right verdicts\n"
+        f"above each: centre : edge (within {BORDER} cells of the wall), 95 % interval; white: never visited",
+        fontsize=8,
+    )
     return figure
 
 
 def _compared(rows: list[Row], name: str, series: str, accuracy: float) -> str:
-    words = f"{100 * accuracy:.0f} %"
+    words = f"{100 * accuracy:.0f} % right"
     for row in those(rows, map=name, series=series, accuracy=accuracy, border=BORDER):
-        words += f"\ncentre : edge {row['ratio']:.2f} [{row['ratio_low']:.2f}, {row['ratio_high']:.2f}]"
+        words += f"\n{row['ratio']:.2f} [{row['ratio_low']:.2f}, {row['ratio_high']:.2f}]"
     return words
 
 
@@ -53,7 +64,7 @@ def trajectories(rows: list[Row], layouts: dict[str, list[str]]) -> Figure | Non
     """Fig. 8: the way with perfect verdicts and without any, from the same start to the same goal."""
     if not rows:
         return None
-    conditions: dict[float | None, str] = {1.0: "verdicts all right", None: "no verdicts"}
+    conditions: dict[float | None, str] = {1.0: "verdicts 100 % right", None: "no verdicts"}
     figure, grid = sheet(len(layouts), len(conditions), 3.1 * len(layouts) + 0.4)
     longest = max(column(rows, "step"))
     lines = None
@@ -61,13 +72,24 @@ def trajectories(rows: list[Row], layouts: dict[str, list[str]]) -> Figure | Non
         for axes, (accuracy, words) in zip(line, conditions.items(), strict=True):
             path = those(rows, map=name, accuracy=accuracy)
             _grid(axes, layout)
-            end = f"{path[-1]['step']} steps" if path else "no policy"
-            axes.set_title(f"{title(name)}, {words}: {end}")
+            axes.set_title(f"{words}: {_end(path)}")
             if path:
                 lines = _path(axes, path, longest)
+        line[0].set_ylabel(title(name), fontsize=9)
     if lines is not None:
         figure.colorbar(lines, ax=grid, shrink=0.6, label="Step", aspect=30)
+    marks = {"start": START, "goal": GOAL, "after a move that was an error": ERROR}
+    handles = [Line2D([], [], linestyle="none", label=words, **mark) for words, mark in marks.items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(marks))
     return figure
+
+
+def _end(path: list[Row]) -> str:
+    if not path:
+        return "no policy"
+    last = path[-1]
+    reached = (last["row"], last["column"]) == (last["goal_row"], last["goal_column"])
+    return f"{last['step']} steps" + ("" if reached else ", goal not reached")
 
 
 def _path(axes: Axes, path: list[Row], longest: int) -> LineCollection:
@@ -80,10 +102,9 @@ def _path(axes: Axes, path: list[Row], longest: int) -> LineCollection:
     lines.set_clim(0, longest)
     axes.add_collection(lines)
     wrong = points[[row["error"] for row in path]]
-    axes.plot(*wrong.T, linestyle="none", marker="x", markersize=5, color=BLACK, zorder=4)
-    around: dict[str, Any] = {"linestyle": "none", "markersize": 9, "markeredgecolor": BLACK, "zorder": 5}
-    axes.plot(*points[0], marker="o", color=VERMILION, **around)
-    axes.plot(path[0]["goal_column"], path[0]["goal_row"], marker="*", color=GREEN, **{**around, "markersize": 13})
+    axes.plot(*wrong.T, linestyle="none", zorder=4, **ERROR)
+    axes.plot(*points[0], zorder=5, **START)
+    axes.plot(path[0]["goal_column"], path[0]["goal_row"], zorder=5, **GOAL)
     return lines
 
 

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from bci_app.gridworld import N_ACTIONS, GridWorld
 from policy.evaluation import NetworkPlayer, play
-from policy.network import Actor, Inputs, Network, PaperInputs, PaperNetwork
+from policy.network import SEARCH_BELOW, Actor, Inputs, Network, PaperInputs, PaperNetwork, ToldNetwork
 from policy.observation import STEP_LIMIT, View
 from policy.simulator import Bools, Ints, Pairs, Simulator, pair_weights
 from policy.verdicts import Draw
@@ -130,6 +130,9 @@ class Effect:
 
 def effect_of(network: Actor, steps: Steps, scale: float) -> Effect:
     """The effect of verdict and position on a network of ours or the paper's."""
+    if isinstance(network, ToldNetwork):  # which of its two plays depends on what it is told, the same at all steps
+        searches = (steps.view.information < SEARCH_BELOW).all()
+        network = network.searching if searches else network.listening
     if isinstance(network, Network):
         return _Ours(network, steps, scale)
     assert isinstance(network, PaperNetwork)
@@ -146,6 +149,7 @@ class _Ours(Effect):
     def __init__(self, network: Network, steps: Steps, scale: float) -> None:
         super().__init__(steps, scale)
         self._network, n_cells = network, steps.world.n_cells
+        self._hidden = self._hidden[:, : network.n_hidden]  # a part of a told policy may have the smaller memory
         self._inputs = network.look(steps.world, steps.view)
         self._last = self._inputs.move % N_ACTIONS
         legal = torch.from_numpy(steps.world.legal.ravel())

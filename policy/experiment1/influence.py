@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bci_app.gridworld import GridWorld
-from policy.attribution import METHODS, Method, attributions, effect_of, record
+from policy.experiment1.attribution import METHODS, Method, attributions, effect_of, record
 from policy.network import Actor
 from policy.simulator import Ints
 from policy.verdicts import Verdicts, binary_evidence
@@ -102,7 +102,8 @@ class CellMeans:
         n = len(self._total)
         weights = rng.multinomial(n, np.full(n, 1 / n), RESAMPLES).astype(float)
         drawn = _ratio(weights @ self._total, weights @ self._count)
-        centres, edges = np.nanmean(drawn[:, ~edge], axis=1), np.nanmean(drawn[:, edge], axis=1)
+        complete = np.isfinite(drawn[:, ~edge]).any(axis=1) & np.isfinite(drawn[:, edge]).any(axis=1)
+        centres, edges = np.nanmean(drawn[complete][:, ~edge], axis=1), np.nanmean(drawn[complete][:, edge], axis=1)
         centre, rim = float(np.nanmean(self.mean[~edge])), float(np.nanmean(self.mean[edge]))
         low, high = np.nanpercentile(centres - edges, (2.5, 97.5))
         ratio_low, ratio_high = np.nanpercentile(centres / edges, (2.5, 97.5))
