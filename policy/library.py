@@ -36,6 +36,9 @@ CONNECT_TIMEOUT_S = 10.0
 """Real seconds a cluster's scheduler may take to answer."""
 POLL_S = 0.5
 """Real seconds between two looks at how far the workers are."""
+_ALONE = threading.Lock()
+"""Held by a job that runs: a process has one generator of weights and one cache of rounded weights, and a Dask worker
+may have several threads. With two jobs at a time the same seed wouldn't give the same weights."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +198,8 @@ def _run(number: int, job: Job, notes: Path | None) -> tuple[int, bytes]:
         if notes is not None:
             write(notes / str(number), f"{done} {of}".encode())
 
-    return number, job.run(note)
+    with _ALONE:
+        return number, job.run(note)
 
 
 class _Watch:
@@ -257,7 +261,8 @@ def _pool(backend: Backend) -> Iterator[None]:
     except (OSError, ValueError) as error:
         raise SetupError(
             f"No Dask scheduler answers at {backend.scheduler} within {CONNECT_TIMEOUT_S:g} s ({error}). Start one "
-            "with `dask scheduler` and workers with `dask worker ADDRESS`, or leave out --backend."
+            "with `dask scheduler` and workers with `dask worker ADDRESS --nworkers=-1 --nthreads=1`, or leave out "
+            "--backend."
         ) from error
     with client, joblib.parallel_config(backend="dask", wait_for_workers_timeout=CONNECT_TIMEOUT_S):
         try:
@@ -265,5 +270,5 @@ def _pool(backend: Backend) -> Iterator[None]:
         except TimeoutError as error:
             raise SetupError(
                 f"The Dask scheduler at {backend.scheduler} has no worker after {CONNECT_TIMEOUT_S:g} s. Start some "
-                f"with `dask worker {backend.scheduler}`."
+                f"with `dask worker {backend.scheduler} --nworkers=-1 --nthreads=1`."
             ) from error
