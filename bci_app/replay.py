@@ -60,7 +60,8 @@ def replay(
     verdicts = list(_verdicts(recording, sidecar, model))
     progress("replaying actions", 2, 3)
     is_online = opening[0][1].task == "online"
-    actions = list(_actions(recording, sidecar, policy, opening[0][1], verdicts)) if is_online else []
+    told = sidecar.get("told") or _told_by(_file_of_run(path, sidecar, "model", model))
+    actions = list(_actions(recording, sidecar, policy, told, opening[0][1], verdicts)) if is_online else []
     progress("done", 3, 3)
     differences = [_sentence(pair) for pair in chain(verdicts, actions) if not pair.equal]
     return {
@@ -109,6 +110,7 @@ def _actions(
     recording: Recording,
     sidecar: dict[str, Any],
     policy: Path | None,
+    told: str | None,
     opening: SessionStart,
     verdicts: list[Compared],
 ) -> Iterator[Compared]:
@@ -124,7 +126,6 @@ def _actions(
     network, card = checkpoint.load(path)
     world: GridWorld = compile_map("\n".join(opening.layout), opening.map)
     checkpoint.check_fits(card, world)
-    told = sidecar.get("told")
     ear = Ear(Verdicts.parse(card.verdicts), Told.parse(told) if told else None)
     navigator = Navigator(Agent(network, ear, world), world, opening.session)
     recorded = {(action.episode, action.step): action for _, action in recording.of(Action)}
@@ -152,6 +153,13 @@ def _actions(
         expected = (item.message.episode, 1 if isinstance(item.message, EpisodeStart) else item.message.step + 1)
         if action is not None or expected in recorded:
             yield Compared(expected, recorded.get(expected), action)
+
+
+def _told_by(model: Path | None) -> str | None:
+    """What a policy is told of a decoder, where no sidecar says what it was told."""
+    from decoder.model import load
+
+    return load(model).info.evidence.told if model else None
 
 
 def _last_of_aborted(recording: Recording) -> set[Key]:

@@ -93,7 +93,7 @@ def online(
     if not wishes.simulate:
         eeg = _look_at_eeg(wishes.config)
         fit_stream(model, eeg.name, eeg.picked, eeg.sfreq)
-    plan = replace(_plan(wishes, "online", map_name, path, card.path), told=_told_of(model.info))
+    plan = replace(_plan(wishes, "online", map_name, path, card.path), told=model.info.evidence.told)
     progress(f"policy {card.name}: {reason}", 0, 1)
     outcome = conduct(plan, progress)
     figures = metrics.online([read(outcome.recording)]) if outcome.reason == "complete" else {}
@@ -104,12 +104,6 @@ def online(
         "model": str(path),
         "cross_validated_accuracy": float(model.info.tenfold["accuracy"]["value"]),
     }
-
-
-def _told_of(info: "ModelInfo") -> str:
-    """What a policy is told of a decoder, as `policy.told.Told` reads it."""
-    evidence = info.evidence
-    return f"{evidence.hit!r}:{evidence.correct_rejection!r}:{evidence.information!r}"
 
 
 def choose_policy(

@@ -45,6 +45,11 @@ class Evidence:
     correct_rejection: Rate
     information: Annotated[float, Field(ge=0, le=1)]
 
+    @property
+    def told(self) -> str:
+        """HIT:CORRECT_REJECTION:BITS, exact to the bit: what a policy is told of its decoder."""
+        return f"{self.hit!r}:{self.correct_rejection!r}:{self.information!r}"
+
     def of(self, log_odds: float) -> float:
         """The evidence of a verdict: natural log-likelihood ratio, within `EVIDENCE_LIMIT` of 0."""
         return max(-EVIDENCE_LIMIT, min(EVIDENCE_LIMIT, self.slope * log_odds + self.intercept))

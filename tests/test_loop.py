@@ -28,7 +28,7 @@ n_blocks = 2
 moves_per_block = 60
 break_s = 3
 [online]
-distances = [2, 8]
+distances = [2, 6]
 """
 
 
@@ -137,7 +137,7 @@ def test_moves_follow_the_actions_and_episodes_their_rules(session: Session) -> 
         chosen = {(action.episode, action.step): action.action for _, action in recording.of(Action)}
         assert chosen == {(move.episode, move.step): move.action for _, move in recording.of(MoveOnset)}
         ends = [end for _, end in recording.of(EpisodeEnd)]
-        assert len(ends) == len(recording.of(EpisodeStart)) == 7
+        assert len(ends) == len(recording.of(EpisodeStart)) == 5
         assert all(end.reason == ("goal" if end.steps < 60 else end.reason) for end in ends)
 
 

@@ -12,7 +12,7 @@ from policy.baselines import BayesPlayer, SearchPlayer
 from policy.coverage import search_paths
 from policy.distillation import DistillationSettings, distil
 from policy.evaluation import NetworkPlayer, evaluate, play
-from policy.network import SEARCH_BELOW, ToldNetwork
+from policy.network import SEARCH_BELOW, Network, ToldNetwork
 from policy.planner import Planner
 from policy.recitation import DONE, RecitationSettings, Walk, recite
 from policy.simulator import Pairs, Simulator, pair_weights
@@ -77,6 +77,21 @@ def test_the_teacher_leads_as_long_as_it_is_said_to(guided):
     kind = Verdicts("binary", (0.95,))
     distil(RING, planner(), kind, settings, lambda update, figures: steps.append(figures["steps"]))
     assert (steps[0] < 7.5) == (guided == 1.0)
+
+
+def test_every_episode_begins_with_an_empty_memory():
+    starts = []
+
+    class Watched(Network):
+        def forward(self, inputs, hidden):
+            """One step; notes the memories that episodes begin with."""
+            starts.append(hidden[inputs.step == 0])
+            return super().forward(inputs, hidden)
+
+    distil(RING, planner(), anybody, replace(QUICK, updates=4), network=Watched(RING.n_cells, 8))
+    begun = torch.cat(starts[1:])  # after the very first step
+    assert len(begun) > 20
+    assert not begun.any()
 
 
 def test_what_is_recited_is_the_laid_down_walk():
