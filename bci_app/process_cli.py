@@ -11,6 +11,7 @@ from bci_app.config import Config
 from bci_app.errors import SetupError
 from bci_app.gridworld import load_map
 from bci_app.lsl import session_clock
+from bci_app.told import Told
 
 SessionOption = Annotated[str, typer.Option("--session", help="Session id; the same for all processes of a run.")]
 ConfigOption = Annotated[Path | None, typer.Option("--config", help="TOML or JSON file overriding defaults.")]
@@ -89,7 +90,7 @@ def policy(
     """Choose the agent's moves from verdicts and what the agent senses."""
     from policy import checkpoint, process
     from policy.agent import Agent
-    from policy.told import Ear, Told
+    from policy.ear import Ear
     from policy.verdicts import Verdicts
 
     settings = _prepare(config)

@@ -19,6 +19,7 @@ from bci_app.progress import Progress
 from bci_app.protocol import Action, EpisodeEnd, EpisodeStart, MoveOnset, SessionStart, Verdict
 from bci_app.recording import Recording, read
 from bci_app.runs import check_untouched, checksum, eeg_type, read_sidecar
+from bci_app.told import Told
 
 Key = tuple[int, int]
 
@@ -116,8 +117,8 @@ def _actions(
 ) -> Iterator[Compared]:
     from policy import checkpoint
     from policy.agent import Agent
+    from policy.ear import Ear
     from policy.navigator import Navigator
-    from policy.told import Ear, Told
     from policy.verdicts import Verdicts
 
     path = _file_of_run(recording.path, sidecar, "policy", policy)
@@ -159,7 +160,7 @@ def _told_by(model: Path | None) -> str | None:
     """What a policy is told of a decoder, where no sidecar says what it was told."""
     from decoder.model import load
 
-    return load(model).info.evidence.told if model else None
+    return str(load(model).info.evidence.told) if model else None
 
 
 def _last_of_aborted(recording: Recording) -> set[Key]:

@@ -71,7 +71,7 @@ class Plan:
     task, map, seed : what the stimulus shows.
     simulate : whether a simulated participant takes part; only then may `speed` differ from 1.
     model, policy : files of the decoder and of the policy; None in a calibration.
-    told : what the policy is told of the decoder, as `policy.told.Told` in words.
+    told : what the policy is told of the decoder, as `bci_app.told.Told` in words.
     remote : roles started by hand on other machines.
     session : id the remote processes were started with; drawn when there are none.
     """

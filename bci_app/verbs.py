@@ -93,7 +93,7 @@ def online(
     if not wishes.simulate:
         eeg = _look_at_eeg(wishes.config)
         fit_stream(model, eeg.name, eeg.picked, eeg.sfreq)
-    plan = replace(_plan(wishes, "online", map_name, path, card.path), told=model.info.evidence.told)
+    plan = replace(_plan(wishes, "online", map_name, path, card.path), told=str(model.info.evidence.told))
     progress(f"policy {card.name}: {reason}", 0, 1)
     outcome = conduct(plan, progress)
     figures = metrics.online([read(outcome.recording)]) if outcome.reason == "complete" else {}
@@ -132,9 +132,8 @@ def choose_policy(
         )
     if by_accuracy:
         return checkpoint.choose_by_accuracy(accuracy, world), f"trained nearest to the accuracy of {accuracy:.1%}"
-    return checkpoint.choose_told(
-        world
-    ), f"told the decoder's statistics, {info.evidence.information:.2f} bits a verdict"
+    reason = f"told the decoder's statistics, {info.evidence.information:.2f} bits a verdict"
+    return checkpoint.choose_told(world), reason
 
 
 def _asked_card(policy: str, accuracy: float, world: GridWorld) -> "PolicyCard":

@@ -74,7 +74,7 @@ def imitated(variant: Variant, name: str, verdicts: Verdicts, updates: int, seed
     """Mean steps of a variant of our recipe."""
     torch.set_num_threads(1)
     world = load_map(name)
-    lesson = teachers.read(teachers.path_of(PRETRAINED, world).read_bytes(), world, name)
+    lesson = teachers.load(PRETRAINED, world)
     planner = Planner(world) if variant.greedy_teacher else lesson.planner
     settings = replace(DistillationSettings(updates=updates, seed=seed), **variant.changes)  # type: ignore[arg-type]
     torch.manual_seed(seed)

@@ -19,10 +19,10 @@ import torch
 from bci_app.gridworld import SHIPPED_MAPS, load_map
 from policy.checkpoint import PRETRAINED
 from policy.evaluation import report
+from policy.library import ACCURACIES
 from policy.players import player_of
 from policy.verdicts import Verdicts
 
-ACCURACIES = [round(0.55 + 0.05 * number, 2) for number in range(10)]
 OFF = 0.10
 """Points by which an accuracy is told wrongly."""
 

@@ -16,11 +16,10 @@ import torch
 
 from bci_app.gridworld import load_map
 from policy.distillation import DistillationSettings, distil
-from policy.network import HIDDEN, WIDTH, Network
+from policy.network import HIDDEN, WIDTH
 from policy.planner import Planner, PlannerSettings, train_planner
 from policy.processor import has_bfloat16
 from policy.simulator import Pairs, Simulator, pair_weights
-from policy.teachers import Lesson
 from policy.verdicts import Verdicts, anybody
 
 MAP = "open"
@@ -90,9 +89,7 @@ def training(seconds: float, which: str) -> float:
         if isinstance(settings, PlannerSettings):
             train_planner(world, settings, anybody, progress)
         else:
-            # The search says nothing here that costs time: any path will do.
-            lesson = Lesson(Planner(world), np.zeros((world.n_cells, 1), np.int64))
-            distil(world, lesson, anybody, settings, progress, Network(world.n_cells))
+            distil(world, Planner(world), anybody, settings, progress)
     except _Enough:
         pass
     (first, before), (last, after) = marks[0], marks[-1]

@@ -14,6 +14,8 @@ from pydantic import Field
 from scipy.optimize import minimize
 from scipy.special import expit
 
+from bci_app.told import Told
+
 Array = NDArray[np.float64]
 Labels = NDArray[np.bool_]
 Rate = Annotated[float, Field(gt=0, lt=1)]
@@ -46,9 +48,9 @@ class Evidence:
     information: Annotated[float, Field(ge=0, le=1)]
 
     @property
-    def told(self) -> str:
-        """HIT:CORRECT_REJECTION:BITS, exact to the bit: what a policy is told of its decoder."""
-        return f"{self.hit!r}:{self.correct_rejection!r}:{self.information!r}"
+    def told(self) -> Told:
+        """What a policy is told of this decoder."""
+        return Told(self.hit, self.correct_rejection, self.information)
 
     def of(self, log_odds: float) -> float:
         """The evidence of a verdict: natural log-likelihood ratio, within `EVIDENCE_LIMIT` of 0."""

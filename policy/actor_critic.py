@@ -3,7 +3,6 @@
 Read top-down: settings, critic, rollouts, losses, the loop. What the actor reads is the network's own affair.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -12,7 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from bci_app.gridworld import GridWorld
-from policy.advantages import generalised_advantages
+from policy.advantages import clipped_surrogate, generalised_advantages
+from policy.descent import Descent, Progress, unheard
 from policy.episodes import GOAL_REWARD, STEP_REWARD, Episodes, drawn
 from policy.network import PAPER_WIDTH, Actor, action_log_probabilities
 from policy.observation import STEP_LIMIT
@@ -197,11 +197,9 @@ def losses(network: Actor, critic: Critic, rollout: Rollout, advantage: Tensor, 
     log_taken = log_all.gather(2, rollout.actions[:, which, None])[:, :, 0]
     ratio = (log_taken - rollout.log_probabilities[:, which]).exp()
     gain = advantage[:, which]
-    scaled = (gain - gain.mean()) / (gain.std() + 1e-8)
-    surrogate = torch.minimum(ratio * scaled, ratio.clamp(1 - clip, 1 + clip) * scaled)
     values = critic(rollout.states[:, which])
     return Losses(
-        actor=-surrogate.mean(),
+        actor=-clipped_surrogate(ratio, gain, clip),
         critic=nn.functional.mse_loss(values, gain + rollout.values[:, which]),
         entropy=-(log_all.exp() * log_all.masked_fill(~legal, 0.0)).sum(dim=2).mean(),
         ratio=ratio,
@@ -209,8 +207,6 @@ def losses(network: Actor, critic: Critic, rollout: Rollout, advantage: Tensor, 
 
 
 Trained = TypeVar("Trained", bound=Actor)
-Progress = Callable[[int, dict[str, float]], None]
-"""Called after each update with its number, from 1, and its figures."""
 
 
 def train_actor_critic(
@@ -218,15 +214,16 @@ def train_actor_critic(
     world: GridWorld,
     draw: Draw,
     settings: ActorCriticSettings,
-    progress: Progress = lambda update, figures: None,
+    progress: Progress = unheard,
 ) -> Trained:
     """Train an actor, fresh or half-trained, by reinforcement for decoders as ``draw`` gives them."""
     rng = np.random.default_rng(settings.seed)
     critic = Critic(world.n_cells)
     collector = Collector(world, settings, draw, rng, network.n_hidden)
-    optimizer = torch.optim.Adam([*network.parameters(), *critic.parameters()], eps=1e-5)
+    parameters = [*network.parameters(), *critic.parameters()]
+    descent = Descent(parameters, settings.learning_rate, 1 / 20, settings.max_gradient)
     for update in range(settings.updates):
-        optimizer.param_groups[0]["lr"] = settings.learning_rate * max(1 - update / settings.updates, 0.05)
+        descent.slow_down(1 - update / settings.updates)
         rollout = collector.collect(network, critic)
         advantage = generalised_advantages(
             rollout.rewards, rollout.values, rollout.following, rollout.ended, settings.discount, settings.trace
@@ -234,11 +231,7 @@ def train_actor_critic(
         shuffled = torch.from_numpy(rng.permutation(settings.n_episodes))
         for which in shuffled.chunk(settings.n_minibatches):
             loss = losses(network, critic, rollout, advantage, which, settings.clip)
-            total = loss.actor + loss.critic - settings.entropy * loss.entropy
-            optimizer.zero_grad(set_to_none=True)
-            total.backward()  # type: ignore[no-untyped-call]
-            nn.utils.clip_grad_norm_(optimizer.param_groups[0]["params"], settings.max_gradient)
-            optimizer.step()
+            descent.step(loss.actor + loss.critic - settings.entropy * loss.entropy)
         progress(update + 1, _figures(rollout, loss))
     return network.eval()
 

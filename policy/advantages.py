@@ -1,4 +1,4 @@
-"""How much better than expected each action turned out, for both kinds of reinforcement."""
+"""How much better than expected each action turned out, and what to make of it, for both kinds of reinforcement."""
 
 import torch
 from torch import Tensor
@@ -27,3 +27,16 @@ def generalised_advantages(
         later = surprise + discount * trace * going_on * later
         result[step], following = later, values[step]
     return result
+
+
+def clipped_surrogate(ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
+    """What an update gains, a scalar (Schulman et al. 2017, eq. 7), from advantages brought to mean 0 and variance 1.
+
+    Parameters
+    ----------
+    ratio : new to old probability of each action taken, of any shape.
+    advantages : of the same shape.
+    clip : largest relative change of a probability that is rewarded.
+    """
+    gain = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+    return torch.minimum(ratio * gain, ratio.clamp(1 - clip, 1 + clip) * gain).mean()

@@ -6,9 +6,9 @@ import torch
 
 from bci_app.gridworld import GridWorld
 from bci_app.protocol import VerdictUsed
+from policy.ear import Ear
 from policy.network import Actor, action_log_probabilities, greedy_actions
 from policy.observation import Tracker
-from policy.told import Ear
 
 Sensed = tuple[bool, bool, bool, bool, bool]
 

@@ -5,14 +5,14 @@ what to do where it gets by its own mistakes (DAgger, Ross et al. 2011), and one
 and learning.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from bci_app.gridworld import GridWorld
+from policy.descent import Descent, Progress, unheard
 from policy.episodes import Episodes, drawn
 from policy.network import HIDDEN, Network
 from policy.planner import Planner
@@ -48,16 +48,12 @@ class DistillationSettings:
     """Starts and goals: half like random episodes, half like the experiment's, so that far goals are learnt."""
 
 
-Progress = Callable[[int, dict[str, float]], None]
-"""Called after each update with its number, from 1, and its figures."""
-
-
 def distil(
     world: GridWorld,
     planner: Planner,
     draw: Draw,
     settings: DistillationSettings,
-    progress: Progress = lambda update, figures: None,
+    progress: Progress = unheard,
     network: Network | None = None,
 ) -> Network:
     """Train an actor for decoders as ``draw`` gives them; ``network`` is one to go on from, or None for a fresh one."""
@@ -66,19 +62,16 @@ def distil(
     network = (network or Network(world.n_cells, settings.n_hidden)).train()
     weights = pair_weights(world, settings.distribution)
     episodes = Episodes(world, settings.n_episodes, weights, draw, rng)
-    optimizer = torch.optim.Adam(network.parameters(), eps=1e-5)
+    descent = Descent(network.parameters(), settings.learning_rate, 1 / 400, settings.max_gradient)
     hidden = torch.zeros(settings.n_episodes, network.n_hidden)
     for update in range(settings.updates):
         done = update / settings.updates
-        optimizer.param_groups[0]["lr"] = settings.learning_rate * max(1 - done, 1 / 400)
+        descent.slow_down(1 - done)
         led = round(settings.n_episodes * max(0.0, 1 - done / settings.guided)) if settings.guided else 0
         segment = _Segment(network, planner, episodes, settings)
         hidden = segment.play(hidden.detach(), led)
         loss, figures = segment.loss()
-        optimizer.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
-        nn.utils.clip_grad_norm_(network.parameters(), settings.max_gradient)
-        optimizer.step()
+        descent.step(loss)
         progress(update + 1, figures)
     return network.eval()
 

@@ -161,7 +161,7 @@ def _is_there(job: Job, folder: Path) -> bool:
     if not path.exists():
         return False
     if isinstance(job, TeacherJob):
-        teachers.read(path.read_bytes(), load_map(job.map), str(path))
+        teachers.load(folder, load_map(job.map))
         return True
     card = read_card(path)
     check_fits(card, load_map(job.map))

@@ -4,7 +4,6 @@ The belief is all that can be known, so this planner needs no memory and is quic
 recurrent policies, which must make do with what they remember of their sensors.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,8 +12,9 @@ import torch
 from torch import Tensor, nn
 
 from bci_app.gridworld import N_ACTIONS, GridWorld
-from policy.advantages import generalised_advantages
+from policy.advantages import clipped_surrogate, generalised_advantages
 from policy.belief import Belief, Nearness
+from policy.descent import Descent, Progress, unheard
 from policy.episodes import Episodes, drawn
 from policy.observation import STEP_LIMIT
 from policy.processor import mixed_precision
@@ -116,15 +116,11 @@ class PlannerSettings:
     distribution: Distribution = "mixture"
 
 
-Progress = Callable[[int, dict[str, float]], None]
-"""Called after each update with its number, from 1, and its figures."""
-
-
 def train_planner(
     world: GridWorld,
     settings: PlannerSettings,
     draw: Draw = anybody,
-    progress: Progress = lambda update, figures: None,
+    progress: Progress = unheard,
 ) -> Planner:
     """Train a planner for decoders as ``draw`` gives them."""
     torch.manual_seed(settings.seed)
@@ -132,19 +128,15 @@ def train_planner(
     weights = pair_weights(world, settings.distribution)
     episodes = Episodes(world, settings.n_episodes, weights, draw, rng, settings.limit)
     planner = Planner(world)
-    optimizer = torch.optim.Adam(planner.parameters(), eps=1e-5)
+    descent = Descent(planner.parameters(), settings.learning_rate, 1 / 50, settings.max_gradient)
     for update in range(settings.updates):
         left = 1 - update / settings.updates
-        optimizer.param_groups[0]["lr"] = settings.learning_rate * max(left, 0.02)
+        descent.slow_down(left)
         batch = _collect(planner, episodes, settings)
         acts = update >= settings.critic_updates
         shuffled = torch.from_numpy(rng.permutation(len(batch.actions)))
         for which in shuffled.chunk(settings.n_minibatches):
-            loss = _loss(planner, batch.take(which), settings, acts, left)
-            optimizer.zero_grad(set_to_none=True)
-            loss.backward()  # type: ignore[no-untyped-call]
-            nn.utils.clip_grad_norm_(planner.parameters(), settings.max_gradient)
-            optimizer.step()
+            descent.step(_loss(planner, batch.take(which), settings, acts, left))
         progress(update + 1, {"steps": batch.steps})
     return planner.eval()
 
@@ -225,7 +217,6 @@ def _loss(planner: Planner, batch: _Batch, settings: PlannerSettings, acts: bool
     if not acts:
         return critic
     ratio = (log_all.gather(1, batch.actions[:, None])[:, 0] - batch.log_probabilities).exp()
-    gain = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std() + 1e-8)
-    surrogate = torch.minimum(ratio * gain, ratio.clamp(1 - settings.clip, 1 + settings.clip) * gain)
+    surrogate = clipped_surrogate(ratio, batch.advantages, settings.clip)
     entropy = -(log_all.exp() * log_all.clamp(min=-20)).sum(dim=1).mean()
-    return critic - surrogate.mean() - settings.entropy * left * entropy
+    return critic - surrogate - settings.entropy * left * entropy

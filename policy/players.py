@@ -51,23 +51,11 @@ def _baseline(name: str, world: GridWorld, folder: Path) -> Player:
         case "bayes":
             return BayesPlayer(world, pair_weights(world, "pairs"))
         case "sweep":
-            return SearchPlayer(_lesson(world, folder).paths)
+            return SearchPlayer(teachers.load(folder, world).paths)
         case "planner":
-            return PlannerPlayer(_lesson(world, folder).planner, pair_weights(world, "mixture"))
+            return PlannerPlayer(teachers.load(folder, world).planner, pair_weights(world, "mixture"))
         case _:
             return OraclePlayer(world)
-
-
-def _lesson(world: GridWorld, folder: Path) -> teachers.Lesson:
-    path = teachers.path_of(folder, world)
-    try:
-        contents = path.read_bytes()
-    except OSError as error:
-        raise SetupError(
-            f"The search and the planner of map '{world.name}' must be in {path}, but it can't be read ({error}). "
-            f"Train them: bci-app train --map {world.name} --out {folder}"
-        ) from error
-    return teachers.read(contents, world, str(path))
 
 
 def _card(name: str, world: GridWorld, folder: Path) -> checkpoint.PolicyCard:

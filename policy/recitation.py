@@ -3,7 +3,6 @@
 The path depends on nothing but the start, so all of it is one batch: every start side by side, step after step.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +11,7 @@ from torch import Tensor, nn
 
 from bci_app.gridworld import N_ACTIONS, GridWorld
 from policy.coverage import Ints
+from policy.descent import Descent, Progress, unheard
 from policy.network import Inputs, Network
 from policy.observation import GOAL_NEXT, STEP_LIMIT
 from policy.processor import mixed_precision
@@ -36,29 +36,22 @@ class RecitationSettings:
     """Norm at which the gradient is clipped."""
 
 
-Progress = Callable[[int, dict[str, float]], None]
-"""Called after each update with its number, from 1, and its figures."""
-
-
 def recite(
     world: GridWorld,
     paths: Ints,
     settings: RecitationSettings,
-    progress: Progress = lambda update, figures: None,
+    progress: Progress = unheard,
 ) -> Network:
     """Train an actor that searches along the paths, (n_cells, n_steps), until it senses the goal."""
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng(settings.seed)
     network = Network(world.n_cells)
-    optimizer = torch.optim.Adam(network.parameters(), eps=1e-5)
+    descent = Descent(network.parameters(), settings.learning_rate, 1 / 400, settings.max_gradient)
     walked = Walk.along(world, paths)
     for update in range(settings.updates):
-        optimizer.param_groups[0]["lr"] = settings.learning_rate * max(1 - update / settings.updates, 1 / 400)
+        descent.slow_down(1 - update / settings.updates)
         loss, known = _go_through(network, walked, rng, settings.what_if)
-        optimizer.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
-        nn.utils.clip_grad_norm_(network.parameters(), settings.max_gradient)
-        optimizer.step()
+        descent.step(loss)
         progress(update + 1, {"known": known, "loss": loss.item()})
     return network.eval()
 

@@ -13,7 +13,8 @@ from bci_app.errors import SetupError
 from bci_app.gridworld import GridWorld
 from policy.checkpoint import metadata
 from policy.coverage import search_paths
-from policy.planner import Planner, PlannerSettings, Progress, train_planner
+from policy.descent import Progress, unheard
+from policy.planner import Planner, PlannerSettings, train_planner
 from policy.simulator import Ints
 
 _CARD = "teacher"
@@ -35,7 +36,7 @@ class Lesson:
     paths: Ints
 
 
-def make(world: GridWorld, settings: PlannerSettings, progress: Progress = lambda update, figures: None) -> bytes:
+def make(world: GridWorld, settings: PlannerSettings, progress: Progress = unheard) -> bytes:
     """Train a planner and lay down the search; the contents of a teacher file."""
     paths = search_paths(world)
     planner = train_planner(world, settings, progress=progress)
@@ -65,6 +66,19 @@ def read(contents: bytes, world: GridWorld, name: str) -> Lesson:
             f"(digest {world.digest[:12]}). Give another folder, or delete it."
         )
     return Lesson(planner.eval(), paths)
+
+
+def load(folder: Path, world: GridWorld) -> Lesson:
+    """The lesson of a map from its file in a folder; errors as `read`'s, and SetupError when there is no such file."""
+    path = path_of(folder, world)
+    try:
+        contents = path.read_bytes()
+    except OSError as error:
+        raise SetupError(
+            f"The search and the planner of map '{world.name}' must be in {path}, but it can't be read ({error}). "
+            f"Train them: bci-app train --map {world.name} --out {folder}"
+        ) from error
+    return read(contents, world, str(path))
 
 
 def path_of(folder: Path, world: GridWorld) -> Path:

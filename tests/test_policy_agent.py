@@ -8,11 +8,12 @@ from hypothesis import strategies as st
 
 from bci_app.errors import SetupError
 from bci_app.gridworld import ACTIONS, load_map
+from bci_app.told import Told
 from policy.agent import Agent
+from policy.ear import Ear
 from policy.evaluation import NetworkPlayer
 from policy.network import Network, PaperNetwork, ToldNetwork
 from policy.simulator import Pairs, Simulator, pair_weights
-from policy.told import Ear, Told
 from policy.verdicts import LIMIT, Verdicts, binary_evidence, binary_information, score_information
 
 OBSTACLES = load_map("obstacles")

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from policy.experiment1 import Row, Tables
 from policy.experiment1.figures_on_maps import gradient_maps, trajectories
 from policy.experiment1.plotting import (
     BLACK,
@@ -25,8 +26,6 @@ from policy.experiment1.plotting import (
     ORANGE,
     STYLE,
     VERMILION,
-    Row,
-    Tables,
     column,
     sheet,
     those,

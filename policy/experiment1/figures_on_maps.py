@@ -10,7 +10,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 from bci_app.gridworld import OBSTACLE
-from policy.experiment1.plotting import BLACK, GREEN, VERMILION, Row, Tables, column, sheet, those, title
+from policy.experiment1 import Row, Tables
+from policy.experiment1.plotting import BLACK, GREEN, VERMILION, column, sheet, those, title
 
 BORDER = 2
 """Cells from the wall that the titles count as edge; the table has others, too."""

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bci_app.gridworld import GridWorld
+from policy.experiment1 import Row
 from policy.experiment1.attribution import METHODS, Method, attributions, effect_of, record
 from policy.network import Actor
 from policy.simulator import Ints
@@ -17,8 +18,6 @@ BORDERS = (1, 2, 3)
 RESAMPLES = 1000  # of the bootstrap
 GRADIENT_EPISODES = 5000  # at most; the intervals are then 1 to 2 % wide
 ATTRIBUTED_EPISODES = 200  # for the methods that take dozens of gradients a step
-
-Row = dict[str, Any]
 
 
 def tables(network: Actor, world: GridWorld, accuracy: float, episodes: int, seed: int) -> dict[str, list[Row]]:

@@ -6,8 +6,7 @@ from typing import Any
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-Row = dict[str, Any]
-Tables = dict[str, list[Row]]
+from policy.experiment1 import Row
 
 FORMATS = ("svg", "pdf", "png")
 DPI = 150

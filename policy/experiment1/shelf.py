@@ -62,7 +62,7 @@ class Shelf:
         if not path.is_file():
             self._note(self.absent, path.name.removesuffix(checkpoint.SUFFIX))
             return None
-        return SearchPlayer(teachers.read(path.read_bytes(), self.world, str(path)).paths)
+        return SearchPlayer(teachers.load(self.folder, self.world).paths)
 
     def _note(self, names: list[str], name: str) -> None:
         if name not in names:

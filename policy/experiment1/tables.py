@@ -17,19 +17,18 @@ from bci_app.gridworld import SHIPPED_MAPS, GridWorld, load_map
 from bci_app.progress import Progress
 from policy.baselines import BayesPlayer, OraclePlayer
 from policy.evaluation import Played, Player, evaluate, play_many, summarise, wilson
-from policy.experiment1 import figures, influence, published
+from policy.experiment1 import Row, Tables, figures, influence, published
 from policy.experiment1.shelf import Series, Shelf, verdicts_of
+from policy.library import ACCURACIES
 from policy.observation import STEP_LIMIT
 from policy.players import heard
 from policy.simulator import MAX_DISTANCE, MIN_DISTANCE, Simulator, pair_weights
 from policy.verdicts import Verdicts
 
-Row = dict[str, Any]
-Tables = dict[str, list[Row]]
 Job = tuple[str, Callable[[], Tables]]
 """What it is about, in words, and the work."""
 
-ACCURACIES = (None, *(round(0.55 + 0.05 * number, 2) for number in range(10)))
+EACH = (None, *ACCURACIES)
 BY_ACCURACY: tuple[Series, ...] = ("ours", "paper")  # with a policy for each
 TRAINED_AT: tuple[tuple[Series, float | None], ...] = (
     ("ours", 0.75),  # partial and full observations (paper IV.A.2)
@@ -114,7 +113,7 @@ def run(
 
 def _jobs(shelf: Shelf, episodes: int) -> Iterator[Job]:
     name = shelf.world.name
-    for accuracy in ACCURACIES:
+    for accuracy in EACH:
         yield f"{name}: steps by accuracy", partial(_by_accuracy, shelf, accuracy, episodes)
     yield f"{name}: bounds", partial(_bounds, shelf, episodes)
     for series, trained in TRAINED_AT:

@@ -1,44 +1,9 @@
-"""What a policy is told of its decoder, and what it therefore takes a verdict for."""
-
-from dataclasses import dataclass
-from typing import Self
+"""What a policy takes a verdict for: as it was trained to, or as it is told of its decoder."""
 
 from bci_app.errors import SetupError
 from bci_app.protocol import VerdictUsed
+from bci_app.told import Told
 from policy.verdicts import LIMIT, Verdicts, binary_evidence, binary_information, score_information
-
-
-@dataclass(frozen=True)
-class Told:
-    """A decoder's statistics, as its calibration measured them.
-
-    Attributes
-    ----------
-    hit, correct_rejection : probability that an error, and that a correct move, is called so.
-    information : bits a verdict tells about a move that is an error with probability one half, 0 to 1.
-    """
-
-    hit: float
-    correct_rejection: float
-    information: float
-
-    @classmethod
-    def parse(cls, text: str) -> Self:
-        """Read ``HIT:CORRECT_REJECTION:BITS``. Raises SetupError for anything else."""
-        try:
-            hit, correct_rejection, information = (float(word) for word in text.split(":"))
-        except ValueError:
-            hit = correct_rejection = information = -1.0
-        if not all(0 <= number <= 1 for number in (hit, correct_rejection, information)):
-            raise SetupError(
-                "What the policy is told must be HIT:CORRECT_REJECTION:BITS, three numbers from 0 to 1 as in "
-                f"0.66:0.79:0.21; found '{text}'."
-            )
-        return cls(hit, correct_rejection, information)
-
-    def __str__(self) -> str:
-        # repr, so that a replay is told the same to the bit.
-        return f"{self.hit!r}:{self.correct_rejection!r}:{self.information!r}"
 
 
 class Ear:
@@ -64,10 +29,8 @@ class Ear:
                 rates = (trained.numbers[0], trained.numbers[-1])
                 self.information = float(binary_information(*rates))
             case "score":
-                rates, self.information = (
-                    (trained.numbers[0], trained.numbers[0]),
-                    float(score_information(trained.numbers[0])),
-                )
+                rates = (trained.numbers[0], trained.numbers[0])
+                self.information = float(score_information(trained.numbers[0]))
             case "told":
                 if told is None:
                     raise SetupError(
