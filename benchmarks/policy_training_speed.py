@@ -16,14 +16,16 @@ import torch
 
 from bci_app.gridworld import load_map
 from policy.distillation import DistillationSettings, distil
-from policy.network import HIDDEN, WIDTH
+from policy.network import HEAD, HIDDEN, N_MARKS, WIDTH
 from policy.planner import Planner, PlannerSettings, train_planner
-from policy.processor import has_bfloat16
+from policy.processor import has_bfloat16, keep_memory
 from policy.simulator import Pairs, Simulator, pair_weights
 from policy.verdicts import Verdicts, anybody
 
 MAP = "open"
-STUDENT_FLOP = 2 * (3 * HIDDEN * HIDDEN + HIDDEN * WIDTH + 121 * WIDTH + WIDTH * WIDTH + WIDTH * (4 + 121))
+TAUGHT_EVERY = DistillationSettings().taught_every
+_INWARD, _OUTWARD = HIDDEN + 121 + N_MARKS, 4 + 121 / TAUGHT_EVERY
+STUDENT_FLOP = 2 * (3 * HIDDEN * HIDDEN + _INWARD * WIDTH + WIDTH * HEAD + HEAD * _OUTWARD)
 """Of one step forward: the matrix products of `policy.network.Network`; backward costs twice as much."""
 PLANNER_WIDTH = 128
 PLANNER_FLOP = 2 * PLANNER_WIDTH * (257 + PLANNER_WIDTH + 4)
@@ -76,8 +78,9 @@ class _Enough(Exception):
 def training(seconds: float, which: str) -> float:
     """Moves a second of training, end to end."""
     torch.set_num_threads(1)
+    keep_memory()
     world = load_map(MAP)
-    settings = PlannerSettings(critic_updates=0) if which == "planner" else DistillationSettings(n_episodes=512)
+    settings = PlannerSettings(critic_updates=0) if which == "planner" else DistillationSettings(guided=0.0)
     marks: list[tuple[float, int]] = []
 
     def progress(update: int, _figures: dict[str, float]) -> None:
@@ -115,7 +118,7 @@ def main() -> None:
         print(f"| environment alone, {words} | {together(environment, words) / 1e6:.2f} | | | |")
     # Acting and learning share one pass of the student; the planner acts once and learns once from each move.
     work = {
-        "distillation": 3 * STUDENT_FLOP + PLANNER_FLOP,
+        "distillation": 3 * STUDENT_FLOP + PLANNER_FLOP / TAUGHT_EVERY,
         "planner": 4 * (PLANNER_FLOP + CRITIC_FLOP),
     }
     for which, flop in work.items():

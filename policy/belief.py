@@ -1,5 +1,6 @@
 """The exact Bayes filter over the goal's cell: all that ``n`` agents can know from what they perceived."""
 
+from copy import copy
 from functools import cache
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import NDArray
 
 from bci_app.gridworld import N_ACTIONS, GridWorld
 from policy.observation import N_SENSES, View, sense_codes
-from policy.simulator import Bools, Floats
+from policy.simulator import Bools, Floats, Ints
 
 Float32s = NDArray[np.float32]
 
@@ -66,9 +67,15 @@ class Belief:
         self.probability = _normalised(gain)
         self.cell = view.cell.copy()
 
-    def keep(self, which: Bools) -> None:
-        """Go on with the episodes of the mask ``which`` only."""
+    def keep(self, which: Bools | Ints) -> None:
+        """Go on with the episodes ``which``, a mask (n,) or indices, only."""
         self.cell, self.probability = self.cell[which], self.probability[which]
+
+    def of(self, which: Bools | Ints) -> "Belief":
+        """The belief of the episodes ``which`` alone; this one goes on with all."""
+        part = copy(self)
+        part.keep(which)
+        return part
 
     def _agrees(self, cell: NDArray[np.int64], sensed: NDArray[np.uint8]) -> Float32s:
         agrees: Float32s = _agreement(self.world)[cell * N_SENSES + sensed]

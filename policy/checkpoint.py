@@ -63,7 +63,7 @@ class PolicyCard:
 
 def policy_name(map_name: str, verdicts: Verdicts, recipe: Recipe = "ours") -> str:
     """The map; then ``none``, ``told``, the accuracy of binary verdicts in percent or the kind with its numbers."""
-    percent = "-".join(f"{number * 100:03.0f}" for number in verdicts.numbers)
+    percent = "-".join(f"{number * 100:.4f}".rstrip("0").rstrip(".").zfill(3) for number in verdicts.numbers)
     kind = percent if verdicts.kind == "binary" else verdicts.kind + percent
     return f"{map_name}_{kind}" + ("_paper" if recipe == "paper" else "")
 

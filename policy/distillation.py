@@ -9,15 +9,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from bci_app.gridworld import GridWorld
+from policy.belief import Belief
 from policy.descent import Descent, Progress, unheard
 from policy.episodes import Episodes, drawn
 from policy.network import HIDDEN, Network
 from policy.planner import Planner
 from policy.processor import mixed_precision
-from policy.simulator import Distribution, pair_weights
+from policy.simulator import Distribution, Ints, pair_weights
 from policy.verdicts import Draw
 
 
@@ -29,11 +30,13 @@ class DistillationSettings:
     """Of weights, episodes, verdicts and actions."""
     n_hidden: int = HIDDEN
     """GRU units."""
-    n_episodes: int = 256
+    n_episodes: int = 1024
     """Episodes played in parallel."""
     n_steps: int = 20
     """Steps of each between updates, and the length of back-propagation through time."""
-    updates: int = 2400
+    taught_every: int = 3
+    """At one in so many steps of an episode the teacher is asked what it would do; from step to step little changes."""
+    updates: int = 2200
     guided: float = 0.3
     """Share of the updates over which the teacher leads, in fewer and fewer of the episodes."""
     learning_rate: float = 4e-3
@@ -81,30 +84,34 @@ class _Segment:
 
     def __init__(self, network: Network, planner: Planner, episodes: Episodes, settings: DistillationSettings) -> None:
         self.network, self.planner, self.episodes, self.settings = network, planner, episodes, settings
-        self.logits: list[Tensor] = []
-        self.features: list[Tensor] = []
-        self.taught: list[Tensor] = []
-        self.beliefs: list[Tensor] = []
+        self.imitation: list[Tensor] = []
+        self.goal: list[Tensor] = []
         self.n_ended = 0
 
     def play(self, hidden: Tensor, led: int) -> Tensor:
         """Move on from a memory, the first ``led`` episodes as the teacher says; the memory after the last step."""
         with mixed_precision():  # one context, or the weights would be converted anew at every step
-            for _ in range(self.settings.n_steps):
-                hidden = self._step(hidden, led)
+            for number in range(self.settings.n_steps):
+                hidden = self._step(hidden, led, self._asked(number, led))
         return hidden
 
-    def _step(self, hidden: Tensor, led: int) -> Tensor:
-        episodes, simulator = self.episodes, self.episodes.simulator
-        output = self.network(self.network.look(episodes.world, simulator.view()), hidden)
+    def _asked(self, number: int, led: int) -> Ints:
+        """Episodes whose teacher is asked at a step: those it leads, and of the others one in some, in turn."""
+        every, turns = np.arange(self.settings.n_episodes), self.settings.taught_every
+        return np.flatnonzero((every < led) | (every % turns == number % turns))
+
+    def _step(self, hidden: Tensor, led: int, asked: Ints) -> Tensor:
+        episodes, rows = self.episodes, torch.from_numpy(asked)
+        output = self.network(self.network.look(episodes.world, episodes.simulator.view()), hidden)
         logits = output.logits.masked_fill(~episodes.legal(), -1e9)
-        taught = self._teach()
+        belief = episodes.belief.of(asked)
+        taught = self._teach(belief, asked)
+        # Step by step, while all of it is in the processor's cache.
+        self.imitation.append(nn.functional.cross_entropy(logits.index_select(0, rows), taught))
+        guess = self.network.goal(output.features.index_select(0, rows)).float()
+        self.goal.append(nn.functional.cross_entropy(guess, torch.from_numpy(belief.probability)))
         actions = drawn(torch.log_softmax(logits.detach(), dim=1), episodes.rng)
         actions[:led] = taught[:led].argmax(dim=1)
-        self.logits.append(logits)
-        self.features.append(output.features)
-        self.taught.append(taught)
-        self.beliefs.append(torch.from_numpy(episodes.belief.probability))
         done = episodes.move(actions.numpy()).done
         episodes.renew(done)
         self.n_ended += int(done.sum())
@@ -112,18 +119,14 @@ class _Segment:
         return kept
 
     @torch.no_grad()
-    def _teach(self) -> Tensor:
+    def _teach(self, belief: Belief, asked: Ints) -> Tensor:
         simulator = self.episodes.simulator
-        seen = self.planner.look(self.episodes.belief, simulator.step_number, simulator.decoders.information)
+        seen = self.planner.look(belief, simulator.step_number[asked], simulator.decoders.information[asked])
         return self.planner.log_probabilities(seen, self.settings.sharpening).exp()
 
     def loss(self) -> tuple[Tensor, dict[str, float]]:
         """Cross-entropies of the actions and, beside, of the goal, with the figures to show."""
-        chosen = torch.log_softmax(torch.cat(self.logits), dim=1)
-        imitation = -(torch.cat(self.taught) * chosen.clamp(min=-30)).sum(dim=1).mean()
-        with mixed_precision():
-            guess = self.network.goal(torch.cat(self.features))
-        goal = -(torch.cat(self.beliefs) * torch.log_softmax(guess.float(), dim=1)).sum(dim=1).mean()
-        steps = len(chosen) / max(self.n_ended, 1)
+        imitation, goal = torch.stack(self.imitation).mean(), torch.stack(self.goal).mean()
+        steps = self.settings.n_steps * self.settings.n_episodes / max(self.n_ended, 1)
         figures = {"steps": steps, "imitation": imitation.item(), "goal": goal.item()}
         return imitation + self.settings.goal_weight * goal, figures

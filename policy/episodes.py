@@ -8,7 +8,7 @@ from bci_app.gridworld import GridWorld
 from policy.belief import Belief
 from policy.observation import STEP_LIMIT
 from policy.simulator import Bools, Floats, Ints, Outcome, Pairs, Simulator
-from policy.verdicts import Draw
+from policy.verdicts import Draw, Stock
 
 GOAL_REWARD = 20.0  # paper IV.A
 STEP_REWARD = -0.01  # paper IV.A
@@ -39,7 +39,7 @@ class Episodes:
         believes: bool = True,
     ) -> None:
         self._believes = believes
-        self.world, self.n, self._draw, self.rng = world, n, draw, rng
+        self.world, self.n, self._draw, self.rng = world, n, Stock(draw), rng
         self._pairs = Pairs(weights)
         self.simulator = Simulator(world, *self._pairs.draw(n, rng), draw(n, rng), rng, limit)
         self.belief = Belief(world, weights, self.simulator.view())

@@ -47,12 +47,21 @@ class Settings:
 
     teacher: PlannerSettings = field(default_factory=PlannerSettings)
     search: RecitationSettings = field(default_factory=RecitationSettings)
-    told: DistillationSettings = field(default_factory=lambda: DistillationSettings(n_episodes=512, updates=3000))
+    told: DistillationSettings = field(default_factory=DistillationSettings)
     special: DistillationSettings = field(
-        default_factory=lambda: DistillationSettings(updates=800, guided=0.0, learning_rate=2e-3)
+        default_factory=lambda: DistillationSettings(updates=250, guided=0.0, learning_rate=2e-3)
     )
     """Of a policy for one kind of verdicts; it goes on from the one that is told all kinds."""
     paper: ActorCriticSettings = field(default_factory=ActorCriticSettings)
+
+    @classmethod
+    def quick(cls) -> Self:
+        """Minutes instead of a quarter of an hour: the greedy move on the belief teaches, and not for long."""
+        return cls(
+            teacher=PlannerSettings(updates=0),
+            search=RecitationSettings(updates=250),
+            told=DistillationSettings(updates=400),
+        )
 
     def with_(self, updates: int | None, seed: int) -> Self:
         """The same with another seed and, unless None, another number of updates; the teacher keeps its own."""
@@ -161,15 +170,15 @@ def _is_there(job: Job, folder: Path) -> bool:
     if not path.exists():
         return False
     if isinstance(job, TeacherJob):
-        teachers.load(folder, load_map(job.map))
-        return True
-    card = read_card(path)
-    check_fits(card, load_map(job.map))
-    # Through JSON, as the card's were.
-    settings = json.loads(json.dumps(asdict(job.settings)))
-    if (card.verdicts, card.story["settings"]) != (str(job.verdicts), settings):
+        verdicts, asked, found = None, None, teachers.load(folder, load_map(job.map)).settings
+    else:
+        card = read_card(path)
+        check_fits(card, load_map(job.map))
+        verdicts, asked, found = card.verdicts, str(job.verdicts), card.story["settings"]
+    # Through JSON, as those in the file were.
+    if (verdicts, found) != (asked, json.loads(json.dumps(asdict(job.settings)))):
         raise SetupError(
-            f"There is a policy {path} already, trained with other settings, and it is not overwritten. Choose another "
+            f"There is a file {path} already, trained with other settings, and it is not overwritten. Choose another "
             "folder with --out, or move it."
         )
     return True

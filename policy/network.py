@@ -11,7 +11,7 @@ from policy.observation import N_SENSES, STEP_LIMIT, View
 from policy.verdicts import LIMIT
 
 HIDDEN = 64  # GRU units (paper IV.A)
-WIDTH = 256  # units of our fully connected layers: 128 need 1 to 3 % more steps (obstacles, 9 million moves)
+WIDTH, HEAD = 256, 128  # units of our two fully connected layers; 128 in the first cost 1 to 3 % more steps (obstacles)
 PAPER_WIDTH = 128  # units of the paper's, which gives none; ours
 
 SEARCH_BELOW = 0.008
@@ -19,20 +19,57 @@ SEARCH_BELOW = 0.008
 0.55 gives 0.0072 bits; 0.57, 0.014)."""
 
 
+N_MARKS = N_SENSES + 1
+"""Of an actor's marks beside the visited cells: each thing that can be sensed, step and information."""
+
+
 class Inputs(NamedTuple):
-    """What our actor reads, each (..., n) but `visited`, (..., n, n_cells); indices int64, else float32."""
+    """What our actor reads, each (n,) but `marks`, (n, n_cells + N_MARKS); indices int64, else float32.
+
+    ``marks``: cells visited, then what is sensed, one column for each thing but nothing, then step and information.
+    """
 
     move: Tensor
     cell: Tensor
     evidence: Tensor
-    sensed: Tensor
-    visited: Tensor
-    step: Tensor
+    marks: Tensor
     information: Tensor
 
 
+def perceived(view: View) -> Inputs:
+    """The view as tensors; they share memory with it where the simulator doesn't write into it later."""
+    n, n_cells = view.visited.shape
+    marks = np.zeros((n, n_cells + N_MARKS), np.float32)
+    marks[:, :n_cells] = view.visited
+    felt = np.flatnonzero(view.sensed)
+    marks[felt, _sense_column(n_cells, view.sensed[felt])] = 1
+    marks[:, -2] = view.step / STEP_LIMIT
+    marks[:, -1] = view.information
+    return Inputs(
+        move=torch.from_numpy(view.move),
+        cell=torch.from_numpy(view.cell),
+        evidence=torch.from_numpy(view.evidence),
+        marks=torch.from_numpy(marks),
+        # A copy: the decoders of new episodes are put into the same array, but the gradient still needs this.
+        information=torch.from_numpy(view.information.copy()),
+    )
+
+
+def sensing(inputs: Inputs, code: Tensor) -> Inputs:
+    """The same, were something sensed, as in ``View.sensed``, int64, (n,), where nothing is."""
+    marks = inputs.marks.clone()
+    n, n_columns = marks.shape
+    marks[torch.arange(n), _sense_column(n_columns - N_MARKS, code)] = 1
+    return inputs._replace(marks=marks)
+
+
+def _sense_column(n_cells: int, code: Any) -> Any:
+    """Where among the marks something that is sensed stands; nothing has no column."""
+    return n_cells - 1 + code
+
+
 class Output(NamedTuple):
-    """Action logits (n, 4), the last features of the head (n, WIDTH) and the new memory (n, HIDDEN)."""
+    """Action logits (n, 4), the last features of the head (n, HEAD) and the new memory (n, HIDDEN)."""
 
     logits: Tensor
     features: Tensor
@@ -72,7 +109,7 @@ class Network(Actor):
     hidden : GRU units.
     """
 
-    layout = "evidence-1"
+    layout = "evidence-2"
 
     def __init__(self, n_cells: int, hidden: int = HIDDEN) -> None:
         super().__init__()
@@ -82,31 +119,18 @@ class Network(Actor):
         self.move = _table(n_moves, 3 * hidden)
         self.judged = _table(n_moves, 3 * hidden)
         self.judged_sure = _table(n_moves, 3 * hidden)
-        self.sensed = _table(N_SENSES, 3 * hidden)
-        self.told = nn.Linear(1, 3 * hidden)
         self.recurrent = nn.Linear(hidden, 3 * hidden)
         # The head sees the map's marks beside the memory, which then need not carry them.
         self.from_memory = nn.Linear(hidden, WIDTH)
         self.from_cell = _table(n_cells, WIDTH)
-        self.from_sensed = _table(N_SENSES, WIDTH)
-        self.from_visited = nn.Linear(n_cells, WIDTH, bias=False)
-        self.from_told = nn.Linear(2, WIDTH, bias=False)
-        self.head = nn.Linear(WIDTH, WIDTH)
-        self.action = nn.Linear(WIDTH, N_ACTIONS)
-        self.goal = nn.Linear(WIDTH, n_cells)
+        self.from_marks = nn.Linear(n_cells + N_MARKS, WIDTH, bias=False)
+        self.head = nn.Linear(WIDTH, HEAD)
+        self.action = nn.Linear(HEAD, N_ACTIONS)
+        self.goal = nn.Linear(HEAD, n_cells)
 
     def look(self, world: GridWorld, view: View) -> Inputs:
-        """The view as tensors; they share memory with it where the simulator doesn't write into it later."""
-        return Inputs(
-            move=torch.from_numpy(view.move),
-            cell=torch.from_numpy(view.cell),
-            evidence=torch.from_numpy(view.evidence),
-            sensed=torch.from_numpy(view.sensed.astype(np.int64)),
-            visited=torch.from_numpy(view.visited.astype(np.float32)),
-            step=torch.from_numpy((view.step / STEP_LIMIT).astype(np.float32)),
-            # A copy: the decoders of new episodes are put into the same array, but the gradient still needs this.
-            information=torch.from_numpy(view.information.copy()),
-        )
+        """The view as tensors."""
+        return perceived(view)
 
     def forward(self, inputs: Inputs, hidden: Tensor) -> Output:
         """One step of ``n`` episodes; ``hidden``, (n, n_hidden), is zeros when an episode starts."""
@@ -118,26 +142,19 @@ class Network(Actor):
             move
             + self.judged(inputs.move) * (inputs.evidence / LIMIT)[:, None]
             + self.judged_sure(inputs.move) * torch.tanh(inputs.evidence / 2)[:, None]
-            + self.sensed(inputs.sensed)
-            + self.told(inputs.information[:, None])
         )
         hidden = self._gru(gates, hidden)
-        features = torch.relu(
-            self.from_memory(hidden)
-            + cell
-            + self.from_sensed(inputs.sensed)
-            + self.from_visited(inputs.visited)
-            + self.from_told(torch.stack([inputs.step, inputs.information], dim=1))
-        )
+        features = torch.relu(cell + self.from_memory(hidden) + self.from_marks(inputs.marks))
         features = torch.relu(self.head(features))
         return Output(self.action(features).float(), features, hidden)
 
     def _gru(self, gates: Tensor, hidden: Tensor) -> Tensor:
         """A gated recurrent unit (Cho et al. 2014), written out because its input arrives multiplied already."""
-        n = 2 * self.n_hidden
-        recurrent = self.recurrent(hidden)
-        reset, update = torch.sigmoid(gates[:, :n] + recurrent[:, :n]).chunk(2, dim=1)
-        new = torch.tanh(gates[:, n:] + reset * recurrent[:, n:])
+        sizes = [2 * self.n_hidden, self.n_hidden]
+        opening, new = torch.split(gates, sizes, dim=1)
+        remembered_opening, remembered = torch.split(self.recurrent(hidden), sizes, dim=1)
+        reset, update = torch.sigmoid(opening + remembered_opening).chunk(2, dim=1)
+        new = torch.tanh(new + reset * remembered)
         return (new + update * (hidden - new)).float()
 
 
@@ -150,7 +167,7 @@ class ToldNetwork(Actor):
     hidden : GRU units of the one that listens.
     """
 
-    layout = "told-1"
+    layout = "told-2"
 
     def __init__(self, n_cells: int, hidden: int = HIDDEN) -> None:
         super().__init__()

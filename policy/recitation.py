@@ -12,8 +12,8 @@ from torch import Tensor, nn
 from bci_app.gridworld import N_ACTIONS, GridWorld
 from policy.coverage import Ints
 from policy.descent import Descent, Progress, unheard
-from policy.network import Inputs, Network
-from policy.observation import GOAL_NEXT, STEP_LIMIT
+from policy.network import Inputs, Network, perceived, sensing
+from policy.observation import GOAL_NEXT, View
 from policy.processor import mixed_precision
 
 DONE = -100
@@ -76,24 +76,15 @@ class Walk:
         """Walk the paths, (n_cells, n_steps)."""
         n = world.n_cells
         rows, cell = np.arange(n), np.arange(n)
-        move, visited = n * N_ACTIONS + cell, np.eye(n, dtype=np.float32)
-        nothing, inputs, legal = torch.zeros(n), [], []
+        move, visited = n * N_ACTIONS + cell, np.eye(n, dtype=bool)
+        nothing, unsensed, inputs, legal = np.zeros(n, np.float32), np.zeros(n, np.uint8), [], []
         for step, action in enumerate(paths.T):
-            inputs.append(
-                Inputs(
-                    move=torch.from_numpy(move),
-                    cell=torch.from_numpy(cell),
-                    evidence=nothing,
-                    sensed=torch.zeros(n, dtype=torch.int64),
-                    visited=torch.from_numpy(visited.copy()),
-                    step=torch.full((n,), step / STEP_LIMIT),
-                    information=nothing,
-                )
-            )
+            view = View(move, cell, nothing, unsensed, visited, np.full(n, step), nothing)
+            inputs.append(perceived(view))
             legal.append(torch.from_numpy(world.legal[cell]))
             goes = np.maximum(action, 0)  # after its end a path stays where it is told nothing more
             move, cell = cell * N_ACTIONS + goes, np.where(action < 0, cell, world.next_cell[cell, goes])
-            visited[rows, cell] = 1
+            visited[rows, cell] = True
         taught = torch.from_numpy(np.where(paths.T < 0, DONE, paths.T))
         return cls(inputs, taught, torch.stack(legal))
 
@@ -106,7 +97,7 @@ def _go_through(network: Network, walk: Walk, rng: np.random.Generator, what_if:
         for step, inputs in enumerate(walk.inputs):
             if rng.random() < what_if:
                 towards = torch.multinomial(walk.legal[step].float(), 1)[:, 0]
-                imagined.append(network(inputs._replace(sensed=towards + GOAL_NEXT), hidden).logits)
+                imagined.append(network(sensing(inputs, towards + GOAL_NEXT), hidden).logits)
                 next_door.append(towards)
             output = network(inputs, hidden)
             logits.append(output.logits)

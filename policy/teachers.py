@@ -3,6 +3,7 @@
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError
@@ -30,10 +31,12 @@ class Lesson:
     ----------
     planner : on the exact belief.
     paths : int64, (n_cells, n_steps), the search without verdicts, as ``coverage.search_paths`` gives it.
+    settings : of the planner's training, as its file tells them.
     """
 
     planner: Planner
     paths: Ints
+    settings: dict[str, Any]
 
 
 def make(world: GridWorld, settings: PlannerSettings, progress: Progress = unheard) -> bytes:
@@ -50,6 +53,7 @@ def read(contents: bytes, world: GridWorld, name: str) -> Lesson:
     """Take a teacher file apart; ``name`` stands in errors. SetupError when it is damaged or of another map."""
     try:
         card = json.loads(metadata(contents)[_CARD])
+        settings = card["settings"]
         tensors = deserialize(contents)
         paths = tensors.pop(_PATHS).numpy()
         planner = Planner(world)
@@ -65,7 +69,7 @@ def read(contents: bytes, world: GridWorld, name: str) -> Lesson:
             f"The teacher '{name}' knows map '{card['map']}' (digest {card['map_digest'][:12]}), not '{world.name}' "
             f"(digest {world.digest[:12]}). Give another folder, or delete it."
         )
-    return Lesson(planner.eval(), paths)
+    return Lesson(planner.eval(), paths, settings)
 
 
 def load(folder: Path, world: GridWorld) -> Lesson:

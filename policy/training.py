@@ -20,6 +20,7 @@ from policy.evaluation import NetworkPlayer, evaluate
 from policy.network import Actor, Network, PaperNetwork, ToldNetwork
 from policy.observation import STEP_LIMIT
 from policy.planner import PlannerSettings
+from policy.processor import keep_memory
 from policy.recitation import RecitationSettings, recite
 from policy.simulator import Distribution
 from policy.verdicts import Verdicts
@@ -55,7 +56,7 @@ class TeacherJob:
 
     def run(self, progress: Progress = lambda done, of, word: None) -> bytes:
         """The contents of a teacher file."""
-        _one_thread()
+        _settle()
 
         def show(update: int, figures: dict[str, float]) -> None:
             progress(update, self.settings.updates, f"{figures['steps']:.1f} steps an episode")
@@ -108,7 +109,7 @@ class PolicyJob:
 
     def run(self, progress: Progress = lambda done, of, word: None) -> bytes:
         """The contents of a policy file."""
-        _one_thread()
+        _settle()
         started, settings = perf_counter(), self.settings
         curve: list[tuple[int, float]] = []
         recent: list[float] = []
@@ -178,6 +179,8 @@ class PolicyJob:
         )
 
 
-def _one_thread() -> None:
+def _settle() -> None:
+    """Make a process one that trains."""
     # Small matrices: more threads only wait for each other, and the order of a sum mustn't depend on their number.
     torch.set_num_threads(1)
+    keep_memory()

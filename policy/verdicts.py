@@ -11,6 +11,7 @@ from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 from scipy.stats import norm
 
 from bci_app.errors import SetupError
@@ -38,7 +39,7 @@ def _bounded(evidence: NDArray[np.float64]) -> Floats:
 
 def separation(accuracy: Probabilities) -> NDArray[np.float64]:
     """Distance d' of two unit normal distributions of scores whose sign is right with this probability."""
-    distance: NDArray[np.float64] = 2 * norm.ppf(np.minimum(accuracy, _CERTAIN))
+    distance: NDArray[np.float64] = 2 * ndtri(np.minimum(accuracy, _CERTAIN))
     return distance
 
 
@@ -153,8 +154,8 @@ class Decoders:
         for name in _NAMES:
             getattr(self, name)[which] = getattr(others, name)
 
-    def take(self, which: Bools) -> "Decoders":
-        """The decoders of the episodes of the mask ``which``."""
+    def take(self, which: Bools | slice) -> "Decoders":
+        """The decoders of some episodes: of the mask, or of the slice, ``which``."""
         return Decoders(*(getattr(self, name)[which] for name in _NAMES))
 
 
@@ -193,6 +194,31 @@ def _anybody(n: int, rng: np.random.Generator) -> Decoders:
 
 Draw = Callable[[int, np.random.Generator], Decoders]
 """Draws the decoders of so many new episodes."""
+
+
+class Stock:
+    """Decoders drawn thousands at a time and handed out a few by a few: drawing thirty takes as long as drawing 4096.
+
+    Parameters
+    ----------
+    draw : where they come from.
+    """
+
+    SIZE = 4096
+
+    def __init__(self, draw: Draw) -> None:
+        self._draw = draw
+        self._used, self._kept = self.SIZE, Decoders.nothing(self.SIZE)
+
+    def __call__(self, n: int, rng: np.random.Generator) -> Decoders:
+        """The decoders of ``n`` new episodes; a rest that is too small is thrown away."""
+        if n > self.SIZE:
+            return self._draw(n, rng)
+        if self._used + n > self.SIZE:
+            self._used, self._kept = 0, self._draw(self.SIZE, rng)
+        self._used += n
+        return self._kept.take(slice(self._used - n, self._used))
+
 
 Kind = Literal["none", "binary", "rates", "score", "told"]
 _N_NUMBERS: dict[str, int] = {"none": 0, "binary": 1, "rates": 2, "score": 1, "told": 0}

@@ -122,10 +122,10 @@ def test_a_policy_that_is_deaf_owes_nothing_to_verdicts(method):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_what_is_the_same_in_all_cells_isnt_owed_to_the_position(method):
-    """The same function with other weights: what every move's row has, every sense's row has less."""
+    """The same function with other weights: what every cell's row has more, the memory's bias has less."""
     network, turned = network_of(Network), network_of(Network)
-    turned.move.weight.data += 0.5
-    turned.sensed.weight.data -= 0.5
+    turned.from_cell.weight.data += 0.5
+    turned.from_memory.bias.data -= 0.5
     steps = record(network, HALL, RIGHT, 2, seed=0)
     found, same = (attributions(effect_of(each, steps, SCALE), method)[1] for each in (network, turned))
     np.testing.assert_allclose(found, same, atol=1e-4)

@@ -30,7 +30,7 @@ from policy.network import Network, PaperNetwork, ToldNetwork
 from policy.verdicts import Verdicts
 
 RING, OBSTACLES = compile_map("....\n.##.\n.##.\n....", "ring"), load_map("obstacles")
-NETWORKS = {"evidence-1": (Network, "binary:0.75"), "told-1": (ToldNetwork, "told"), "paper-1": (PaperNetwork, "none")}
+NETWORKS = {"evidence-2": (Network, "binary:0.75"), "told-2": (ToldNetwork, "told"), "paper-1": (PaperNetwork, "none")}
 
 
 def card(verdicts="binary:0.75", network=None, recipe="ours"):
@@ -153,7 +153,7 @@ def test_a_pickle_and_somebody_elses_tensors_are_refused_and_nothing_is_run(tmp_
 
 def test_another_layout_weights_of_another_network_and_other_verdicts_are_refused():
     network = Network(RING.n_cells, 4)
-    refused(pack(network, replace(card(), layout="score-9")), "'evidence-1'.*but was trained on 'score-9'")
+    refused(pack(network, replace(card(), layout="score-9")), "'evidence-2'.*but was trained on 'score-9'")
     refused(pack(network, replace(card(), layout="paper-1", n_hidden=64)), "weights of another network")
     refused(pack(network, replace(card(), verdicts="binary:0.4")), "above 0.5")
 
@@ -199,3 +199,4 @@ def test_names_of_files():
     names = {"none": "m_none", "told": "m_told", "binary:0.75": "m_075", "binary:1": "m_100", "score:0.7": "m_score070"}
     assert {words: policy_name("m", Verdicts.parse(words)) for words in names} == names
     assert policy_name("m", Verdicts.parse("binary:0.8"), "paper") == "m_080_paper"
+    assert policy_name("m", Verdicts.parse("binary:0.801")) == "m_80.1"  # no other accuracy has its name

@@ -109,6 +109,7 @@ def test_a_file_that_is_no_policy_and_a_map_that_is_none_are_refused(folder):
         (("--verdicts", "binary:0.4"), "above 0.5"),
         (("--verdicts", "none", "--library"), "--library trains all verdicts"),
         (("--backend", "dask"), "needs --scheduler ADDRESS"),
+        (("--quick", "--recipe", "paper"), "--quick shortens our recipe"),
         (("--updates", 0), "--updates"),
         (("--map", "nowhere.txt"), "No map 'nowhere.txt'"),
     ],
@@ -127,3 +128,12 @@ def test_a_policy_is_trained_and_then_evaluated(folder):
     assert json.loads(done.stdout) == {"policies": [str(path)]}
     found = figures(*words, "--policies", folder / "out", "--policy", "square_080_paper", "--episodes", 50)
     assert found["mean_steps"] >= 2
+
+
+def test_quick_training_makes_the_told_policy_and_goes_nowhere_near_a_full_one(folder):
+    words = ("--map", folder / "square.txt", "--workers", 1, "--out", folder / "quick")
+    done = run("train", *words, "--quick", "--updates", 2, "--json")
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(done.stdout) == {"policies": [str(folder / "quick" / "square_told.safetensors")]}
+    assert figures(*words[:2], "--verdicts", "score:0.8", "--policies", folder / "quick", "--episodes", 50)
+    assert "trained with other settings" in refused("train", *words)

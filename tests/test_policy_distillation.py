@@ -85,7 +85,7 @@ def test_every_episode_begins_with_an_empty_memory():
     class Watched(Network):
         def forward(self, inputs, hidden):
             """One step; notes the memories that episodes begin with."""
-            starts.append(hidden[inputs.step == 0])
+            starts.append(hidden[inputs.marks[:, -2] == 0])
             return super().forward(inputs, hidden)
 
     distil(RING, planner(), anybody, replace(QUICK, updates=4), network=Watched(RING.n_cells, 8))
@@ -104,11 +104,10 @@ def test_what_is_recited_is_the_laid_down_walk():
         told = (walk.taught[step] != DONE).numpy()
         np.testing.assert_array_equal(walk.taught[step].numpy()[told], paths[told, step])
         np.testing.assert_array_equal(walk.legal[step], RING.legal[simulator.cell])
-        seen = network.look(RING, simulator.view())
-        for field in ("move", "cell", "visited", "step"):
+        seen = network.look(RING, replace(simulator.view(), sensed=np.zeros(n, np.uint8)))
+        for field in ("move", "cell", "marks"):
             found, expected = getattr(walk.inputs[step], field), getattr(seen, field)
             assert torch.equal(found[told], expected[told])
-        assert not walk.inputs[step].sensed.any()
         simulator.step(np.where(told, paths[:, step], 0))
         if not told.all():
             break

@@ -6,7 +6,7 @@ import torch
 from bci_app.gridworld import compile_map
 from policy.episodes import Episodes, drawn
 from policy.simulator import pair_weights
-from policy.verdicts import Verdicts, anybody
+from policy.verdicts import Stock, Verdicts, anybody
 
 RING = compile_map("....\n.##.\n.##.\n....", "ring")
 
@@ -67,3 +67,21 @@ def test_actions_are_drawn_with_their_probabilities():
     np.testing.assert_allclose(np.bincount(actions, minlength=4) / 50_000, probabilities, atol=0.01)
     again = drawn(probabilities.log().expand(50_000, 4), np.random.default_rng(0))
     assert torch.equal(actions, again)
+
+
+def test_a_stock_of_decoders_hands_out_what_was_drawn_once_each():
+    drawn_at, rng = [], np.random.default_rng(0)
+
+    def draw(n, rng):
+        drawn_at.append(n)
+        return anybody(n, rng)
+
+    stock, taken = Stock(draw), []
+    for n in [30] * 200:
+        taken.append(stock(n, rng).information)
+        assert len(taken[-1]) == n
+    assert drawn_at == [Stock.SIZE, Stock.SIZE]  # 6000 decoders
+    scores = np.concatenate(taken)
+    assert len(np.unique(scores)) > 0.98 * len(scores)
+    many = stock(2 * Stock.SIZE, rng)
+    assert len(many.information) == 2 * Stock.SIZE

@@ -122,7 +122,7 @@ def test_what_is_missing_alone_is_trained_and_comes_out_the_same(shelf, copy, sq
     assert {name: now for name, now in after.items() if name != lost} == {k: v for k, v in before.items() if k != lost}
 
 
-@pytest.mark.parametrize("kind", ["special", "told", "search"])
+@pytest.mark.parametrize("kind", ["special", "told", "search", "teacher"])
 def test_other_settings_are_refused_and_nothing_is_overwritten(copy, square, kind):
     before = state(copy)
     other = replace(TINY, **{kind: replace(getattr(TINY, kind), updates=3)})

@@ -10,12 +10,15 @@ from bci_app.gridworld import compile_map, load_map
 from policy.episodes import Episodes
 from policy.network import (
     HIDDEN,
+    N_MARKS,
     PAPER_SCALARS,
     Network,
     PaperNetwork,
     action_log_probabilities,
     greedy_actions,
     paper_vector,
+    perceived,
+    sensing,
 )
 from policy.observation import Tracker
 from policy.simulator import pair_weights
@@ -153,3 +156,21 @@ def test_gradients_are_of_what_was_seen_even_after_new_episodes_began():
         gradients.append({name: p.grad.clone() for name, p in network.named_parameters() if p.grad is not None})
     for name, gradient in gradients[0].items():
         assert torch.equal(gradient, gradients[1][name]), name
+
+
+def test_our_marks_by_hand():
+    """Visited cells; one column for each thing but nothing that is sensed; step of 60, information."""
+    tracker = Tracker(OPEN, 60, NOTHING, 0.3)
+    tracker.moved(3, 61, (False, False, True, False, False), 1.2)
+    marks = perceived(tracker.view()).marks[0]
+    assert marks.shape == (121 + N_MARKS,)
+    assert torch.nonzero(marks).flatten().tolist() == [60, 61, 121 + 2, 121 + 5, 121 + 6]
+    assert marks[-2:].tolist() == pytest.approx([1 / 60, 0.3])
+
+
+def test_what_if_it_were_sensed_is_what_is_perceived_when_it_is():
+    tracker, other = Tracker(OPEN, 60, NOTHING, 0.3), Tracker(OPEN, 60, (False, False, False, True, False), 0.3)
+    thought = sensing(perceived(tracker.view()), torch.tensor([4]))
+    for one, another in zip(thought, perceived(other.view()), strict=True):
+        assert torch.equal(one, another)
+    assert not perceived(tracker.view()).marks[0, 121:-2].any()
