@@ -1,4 +1,4 @@
-"""Policy files: safetensors weights with the card of the policy in their metadata. A file can't run code."""
+"""Policy files: weights sealed with the card of the policy."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -6,14 +6,12 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load as deserialize
-from safetensors.torch import save as serialize
 from torch import Tensor
 
 from bci_app.errors import SetupError
 from bci_app.gridworld import GridWorld
 from policy.network import HIDDEN, Actor, Network, PaperNetwork, ToldNetwork
+from policy.sealed import Damaged, Tensors, opened, seal
 from policy.verdicts import Verdicts
 
 PRETRAINED = Path(__file__).parent / "pretrained"
@@ -72,8 +70,7 @@ def pack(network: Actor, card: PolicyCard) -> bytes:
     """The contents of a policy file; weights that are float16 numbers, as `rounded` makes them, take half the room."""
     fields = {key: value for key, value in asdict(card).items() if key != "path"}
     weights = {name: _smallest(tensor.contiguous()) for name, tensor in network.state_dict().items()}
-    contents: bytes = serialize(weights, metadata={_CARD: json.dumps(fields, sort_keys=True)})
-    return contents
+    return seal(weights, _CARD, json.dumps(fields, sort_keys=True))
 
 
 def rounded(network: Trained) -> Trained:
@@ -95,16 +92,9 @@ def write(path: Path, contents: bytes) -> None:
     partial.replace(path)
 
 
-def metadata(contents: bytes) -> dict[str, str]:
-    """The texts in a safetensors header: 8 bytes of length, then JSON. ValueError or KeyError when there is none."""
-    header = json.loads(contents[8 : 8 + int.from_bytes(contents[:8], "little")])
-    found: dict[str, str] = header["__metadata__"]
-    return found
-
-
 def read_card(path: Path) -> PolicyCard:
     """The card of a policy file; SetupError when it is no policy file."""
-    return _card(_contents(path), str(path), path)
+    return _opened(_contents(path), str(path), path)[1]
 
 
 def load(path: Path) -> tuple[Actor, PolicyCard]:
@@ -117,12 +107,13 @@ def unpack(contents: bytes, name: str, path: Path | None = None) -> tuple[Actor,
 
     Raises SetupError when it is no policy file, is damaged, or has inputs this program doesn't know.
     """
-    card = _card(contents, name, path)
+    tensors, card = _opened(contents, name, path)
     try:
         if card.layout == Network.layout:
             network: Actor = Network(card.n_cells, card.n_hidden)
         elif card.layout == ToldNetwork.layout:
-            network = ToldNetwork(card.n_cells, card.n_hidden)
+            # The card tells the larger of its two memories.
+            network = ToldNetwork(card.n_cells, tensors["listening.recurrent.weight"].shape[1])
         elif card.layout == PaperNetwork.layout and card.n_hidden == HIDDEN:
             network = PaperNetwork(card.n_cells)
         else:
@@ -130,8 +121,8 @@ def unpack(contents: bytes, name: str, path: Path | None = None) -> tuple[Actor,
                 f"Policy '{name}' must read the inputs {' or '.join(map(repr, LAYOUTS))}, but was trained on "
                 f"'{card.layout}'. Use the program version it was trained with, or train it again."
             )
-        network.load_state_dict({name: tensor.float() for name, tensor in deserialize(contents).items()})
-    except (RuntimeError, TypeError, ValueError, SafetensorError) as error:
+        network.load_state_dict({name: tensor.float() for name, tensor in tensors.items()})
+    except (RuntimeError, TypeError, ValueError, LookupError) as error:
         raise SetupError(f"Policy '{name}' has weights of another network ({error}). Train it again.") from error
     return network.eval(), card
 
@@ -143,17 +134,17 @@ def _contents(path: Path) -> bytes:
         raise SetupError(f"Can't read the policy '{path}' ({error}). Give the path of a policy file.") from error
 
 
-def _card(contents: bytes, name: str, path: Path | None) -> PolicyCard:
+def _opened(contents: bytes, name: str, path: Path | None) -> tuple[Tensors, PolicyCard]:
     try:
-        deserialize(contents)  # a header alone may be whole where the weights behind it are not
-        card = PolicyCard(**json.loads(metadata(contents)[_CARD]), path=path)
+        tensors, text = opened(contents, _CARD)
+        card = PolicyCard(**json.loads(text), path=path)
         Verdicts.parse(card.verdicts)
-    except (SafetensorError, KeyError, TypeError, ValueError, SetupError) as error:
+    except (Damaged, TypeError, ValueError, SetupError) as error:
         raise SetupError(
             f"'{name}' must be a policy written by `bci-app train`, but can't be read as one ({error}). Choose another "
             "file or train the policy again."
         ) from error
-    return card
+    return tensors, card
 
 
 def check_fits(card: PolicyCard, world: GridWorld) -> None:

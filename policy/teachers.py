@@ -6,16 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load as deserialize
-from safetensors.torch import save as serialize
 
 from bci_app.errors import SetupError
 from bci_app.gridworld import GridWorld
-from policy.checkpoint import metadata
 from policy.coverage import search_paths
 from policy.descent import Progress, unheard
 from policy.planner import Planner, PlannerSettings, train_planner
+from policy.sealed import Damaged, opened, seal
 from policy.simulator import Ints
 
 _CARD = "teacher"
@@ -45,21 +42,20 @@ def make(world: GridWorld, settings: PlannerSettings, progress: Progress = unhea
     planner = train_planner(world, settings, progress=progress)
     tensors = {**planner.state_dict(), _PATHS: torch.from_numpy(paths)}
     card = {"map": world.name, "map_digest": world.digest, "settings": asdict(settings)}
-    contents: bytes = serialize(tensors, metadata={_CARD: json.dumps(card, sort_keys=True)})
-    return contents
+    return seal(tensors, _CARD, json.dumps(card, sort_keys=True))
 
 
 def read(contents: bytes, world: GridWorld, name: str) -> Lesson:
     """Take a teacher file apart; ``name`` stands in errors. SetupError when it is damaged or of another map."""
     try:
-        card = json.loads(metadata(contents)[_CARD])
+        tensors, text = opened(contents, _CARD)
+        card = json.loads(text)
         settings = card["settings"]
-        tensors = deserialize(contents)
         paths = tensors.pop(_PATHS).numpy()
         planner = Planner(world)
         if card["map_digest"] == world.digest:
             planner.load_state_dict(tensors)
-    except (SafetensorError, RuntimeError, KeyError, ValueError) as error:
+    except (Damaged, RuntimeError, KeyError, ValueError) as error:
         raise SetupError(
             f"'{name}' must be a teacher written by `bci-app train`, but can't be read as one ({error}). Delete it; "
             "the next training makes a new one."

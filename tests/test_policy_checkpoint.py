@@ -74,6 +74,14 @@ def test_weights_and_card_make_the_round_trip_to_the_bit(tmp_path, layout):
             assert torch.equal(one, other)
 
 
+@pytest.mark.parametrize("hidden", [8, 80])
+def test_a_told_policy_with_a_memory_of_any_size_is_read_back(hidden):
+    told = ToldNetwork(RING.n_cells, hidden)
+    loaded, _ = unpack(pack(told, card("told", told)), "x")
+    assert loaded.listening.n_hidden == hidden
+    assert loaded.n_hidden == told.n_hidden
+
+
 def test_rounded_weights_take_half_the_room():
     network = Network(RING.n_cells, 32)
     full = len(pack(network, card()))

@@ -131,13 +131,6 @@ def test_other_settings_are_refused_and_nothing_is_overwritten(copy, square, kin
     assert state(copy) == before
 
 
-def test_an_accuracy_whose_file_has_the_same_name_is_refused(copy, square):
-    before = state(copy)
-    with pytest.raises(SetupError, match="already, trained with other settings"):
-        run(square, copy, wanted=[Verdicts("binary", (0.801,))])
-    assert state(copy) == before
-
-
 def test_a_map_of_the_same_name_is_not_the_same_map(copy, tmp_path):
     (tmp_path / "square.txt").write_text("...\n...\n", encoding="ascii")
     before = state(copy)
