@@ -2,9 +2,9 @@
 
     python benchmarks/policy_steps.py [--episodes 20000] [--rates real_verdicts.tsv] [--json FILE]
 
-For each map, as Markdown tables: binary verdicts by accuracy, scores, both near chance, real pairs of rates, wrongly told
-accuracies and missing verdicts. All players meet the same episodes (distance 2 or more, greedy moves); success is the
-mean over the initial distances 2 to 20, of as many episodes again. Deterministic; the work is shared between all cores.
+For each map, as Markdown tables: binary verdicts by accuracy, scores, both near chance, real pairs of rates, wrongly
+told accuracies and missing verdicts. All players meet the same episodes (distance 2 or more, greedy moves); success is
+the mean over the initial distances 2 to 20, of as many episodes again. Deterministic; all cores share the work.
 """
 
 import argparse

@@ -16,6 +16,7 @@ from policy.descent import Descent, Progress, unheard
 from policy.episodes import GOAL_REWARD, STEP_REWARD, Episodes, drawn
 from policy.network import PAPER_WIDTH, Actor, action_log_probabilities
 from policy.observation import STEP_LIMIT
+from policy.processor import device, moved
 from policy.simulator import Bools, Distribution, pair_weights
 from policy.verdicts import Draw
 
@@ -105,7 +106,7 @@ class Collector:
         self.settings = settings
         weights = pair_weights(world, settings.distribution)
         self.episodes = Episodes(world, settings.n_episodes, weights, draw, rng, believes=False)
-        self.hidden = torch.zeros(settings.n_episodes, n_hidden)
+        self.hidden = torch.zeros(settings.n_episodes, n_hidden, device=device())
         self.episode_starts: Bools = np.ones(settings.n_episodes, bool)
         self.n_ended = 0
 
@@ -115,7 +116,8 @@ class Collector:
         one_hot = np.eye(world.n_cells, dtype=np.float32)
         distance = world.distance[simulator.cell, simulator.goal] / world.distance.max()
         scalars = np.stack([distance, simulator.step_number / STEP_LIMIT], axis=1).astype(np.float32)
-        return torch.from_numpy(np.concatenate([one_hot[simulator.goal], one_hot[simulator.cell], scalars], axis=1))
+        state = np.concatenate([one_hot[simulator.goal], one_hot[simulator.cell], scalars], axis=1)
+        return moved(torch.from_numpy(state))
 
     @torch.no_grad()
     def collect(self, network: Actor, critic: Critic) -> Rollout:
@@ -137,24 +139,26 @@ class Collector:
     def _step(self, network: Actor, critic: Critic, epsilon: float) -> dict[str, Any]:
         episodes = self.episodes
         inputs = network.look(episodes.world, episodes.simulator.view())
-        inputs = type(inputs)(*(part.clone() for part in inputs))  # they share memory with the simulator
-        before = {"legal": episodes.legal(), "states": self.state()}
-        starts = torch.from_numpy(self.episode_starts)
+        inputs = moved(type(inputs)(*(part.clone() for part in inputs)))  # they share memory with the simulator
+        before = {"legal": moved(episodes.legal()), "states": self.state()}
+        starts = moved(torch.from_numpy(self.episode_starts))
         output = network(inputs, _fed(self.hidden, starts))
         log_all = action_log_probabilities(output.logits, before["legal"], epsilon)
-        actions = drawn(log_all, episodes.rng)
+        actions = drawn(log_all.cpu(), episodes.rng)
         outcome = episodes.move(actions.numpy())
-        rewards = torch.from_numpy((GOAL_REWARD * outcome.terminated + STEP_REWARD).astype(np.float32) / GOAL_REWARD)
+        actions, ended = moved(actions), moved(torch.from_numpy(outcome.done))
+        gained = (GOAL_REWARD * outcome.terminated + STEP_REWARD).astype(np.float32) / GOAL_REWARD
+        rewards = moved(torch.from_numpy(gained))
         if outcome.truncated.any():
             # Nothing ended there but the clock: the future still has its value.
-            cut = torch.from_numpy(outcome.truncated)
+            cut = moved(torch.from_numpy(outcome.truncated))
             rewards[cut] += self.settings.discount * critic(self.state()[cut])
         episodes.renew(outcome.done)
         self.hidden, self.episode_starts = output.hidden, outcome.done
         self.n_ended += int(outcome.done.sum())
         taken = log_all.gather(1, actions[:, None])[:, 0]
         after = {"actions": actions, "log_probabilities": taken, "rewards": rewards}
-        return {"inputs": inputs, "episode_starts": starts, "ended": torch.from_numpy(outcome.done), **before, **after}
+        return {"inputs": inputs, "episode_starts": starts, "ended": ended, **before, **after}
 
     def _epsilon(self) -> float:
         """Falls linearly over the first episodes, then stays."""
@@ -218,7 +222,8 @@ def train_actor_critic(
 ) -> Trained:
     """Train an actor, fresh or half-trained, by reinforcement for decoders as ``draw`` gives them."""
     rng = np.random.default_rng(settings.seed)
-    critic = Critic(world.n_cells)
+    critic = Critic(world.n_cells).to(device())
+    network.to(device())
     collector = Collector(world, settings, draw, rng, network.n_hidden)
     parameters = [*network.parameters(), *critic.parameters()]
     descent = Descent(parameters, settings.learning_rate, 1 / 20, settings.max_gradient)
@@ -228,12 +233,12 @@ def train_actor_critic(
         advantage = generalised_advantages(
             rollout.rewards, rollout.values, rollout.following, rollout.ended, settings.discount, settings.trace
         )
-        shuffled = torch.from_numpy(rng.permutation(settings.n_episodes))
+        shuffled = moved(torch.from_numpy(rng.permutation(settings.n_episodes)))
         for which in shuffled.chunk(settings.n_minibatches):
             loss = losses(network, critic, rollout, advantage, which, settings.clip)
             descent.step(loss.actor + loss.critic - settings.entropy * loss.entropy)
         progress(update + 1, _figures(rollout, loss))
-    return network.eval()
+    return network.cpu().eval()
 
 
 def _figures(rollout: Rollout, loss: Losses) -> dict[str, float]:

@@ -17,7 +17,7 @@ from policy.descent import Descent, Progress, unheard
 from policy.episodes import Episodes, drawn
 from policy.network import HIDDEN, Network
 from policy.planner import Planner
-from policy.processor import mixed_precision
+from policy.processor import device, mixed_precision, moved
 from policy.simulator import Distribution, Ints, pair_weights
 from policy.verdicts import Draw
 
@@ -62,11 +62,12 @@ def distil(
     """Train an actor for decoders as ``draw`` gives them; ``network`` is one to go on from, or None for a fresh one."""
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng(settings.seed)
-    network = (network or Network(world.n_cells, settings.n_hidden)).train()
+    network = (network or Network(world.n_cells, settings.n_hidden)).to(device()).train()
+    planner.to(device())
     weights = pair_weights(world, settings.distribution)
     episodes = Episodes(world, settings.n_episodes, weights, draw, rng)
     descent = Descent(network.parameters(), settings.learning_rate, 1 / 400, settings.max_gradient)
-    hidden = torch.zeros(settings.n_episodes, network.n_hidden)
+    hidden = torch.zeros(settings.n_episodes, network.n_hidden, device=device())
     for update in range(settings.updates):
         done = update / settings.updates
         descent.slow_down(1 - done)
@@ -76,7 +77,8 @@ def distil(
         loss, figures = segment.loss()
         descent.step(loss)
         progress(update + 1, figures)
-    return network.eval()
+    planner.cpu()
+    return network.cpu().eval()
 
 
 class _Segment:
@@ -101,28 +103,28 @@ class _Segment:
         return np.flatnonzero((every < led) | (every % turns == number % turns))
 
     def _step(self, hidden: Tensor, led: int, asked: Ints) -> Tensor:
-        episodes, rows = self.episodes, torch.from_numpy(asked)
-        output = self.network(self.network.look(episodes.world, episodes.simulator.view()), hidden)
-        logits = output.logits.masked_fill(~episodes.legal(), -1e9)
+        episodes, rows = self.episodes, moved(torch.from_numpy(asked))
+        output = self.network(moved(self.network.look(episodes.world, episodes.simulator.view())), hidden)
+        logits = output.logits.masked_fill(~moved(episodes.legal()), -1e9)
         belief = episodes.belief.of(asked)
         taught = self._teach(belief, asked)
         # Step by step, while all of it is in the processor's cache.
         self.imitation.append(nn.functional.cross_entropy(logits.index_select(0, rows), taught))
         guess = self.network.goal(output.features.index_select(0, rows)).float()
-        self.goal.append(nn.functional.cross_entropy(guess, torch.from_numpy(belief.probability)))
-        actions = drawn(torch.log_softmax(logits.detach(), dim=1), episodes.rng)
-        actions[:led] = taught[:led].argmax(dim=1)
+        self.goal.append(nn.functional.cross_entropy(guess, moved(torch.from_numpy(belief.probability))))
+        actions = drawn(torch.log_softmax(logits.detach(), dim=1).cpu(), episodes.rng)
+        actions[:led] = taught[:led].argmax(dim=1).cpu()
         done = episodes.move(actions.numpy()).done
         episodes.renew(done)
         self.n_ended += int(done.sum())
-        kept: Tensor = output.hidden * torch.from_numpy(~done)[:, None]
+        kept: Tensor = output.hidden * moved(torch.from_numpy(~done))[:, None]
         return kept
 
     @torch.no_grad()
     def _teach(self, belief: Belief, asked: Ints) -> Tensor:
         simulator = self.episodes.simulator
         seen = self.planner.look(belief, simulator.step_number[asked], simulator.decoders.information[asked])
-        return self.planner.log_probabilities(seen, self.settings.sharpening).exp()
+        return self.planner.log_probabilities(moved(seen), self.settings.sharpening).exp()
 
     def loss(self) -> tuple[Tensor, dict[str, float]]:
         """Cross-entropies of the actions and, beside, of the goal, with the figures to show."""

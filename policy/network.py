@@ -59,7 +59,7 @@ def sensing(inputs: Inputs, code: Tensor) -> Inputs:
     """The same, were something sensed, as in ``View.sensed``, int64, (n,), where nothing is."""
     marks = inputs.marks.clone()
     n, n_columns = marks.shape
-    marks[torch.arange(n), _sense_column(n_columns - N_MARKS, code)] = 1
+    marks[torch.arange(n, device=marks.device), _sense_column(n_columns - N_MARKS, code)] = 1
     return inputs._replace(marks=marks)
 
 

@@ -17,7 +17,7 @@ from policy.belief import Belief, Nearness
 from policy.descent import Descent, Progress, unheard
 from policy.episodes import Episodes, drawn
 from policy.observation import STEP_LIMIT
-from policy.processor import mixed_precision
+from policy.processor import device, mixed_precision, moved
 from policy.simulator import Bools, Distribution, Outcome, pair_weights
 from policy.verdicts import Draw, Floats, anybody
 
@@ -127,18 +127,18 @@ def train_planner(
     rng = np.random.default_rng(settings.seed)
     weights = pair_weights(world, settings.distribution)
     episodes = Episodes(world, settings.n_episodes, weights, draw, rng, settings.limit)
-    planner = Planner(world)
+    planner = Planner(world).to(device())
     descent = Descent(planner.parameters(), settings.learning_rate, 1 / 50, settings.max_gradient)
     for update in range(settings.updates):
         left = 1 - update / settings.updates
         descent.slow_down(left)
         batch = _collect(planner, episodes, settings)
         acts = update >= settings.critic_updates
-        shuffled = torch.from_numpy(rng.permutation(len(batch.actions)))
+        shuffled = moved(torch.from_numpy(rng.permutation(len(batch.actions))))
         for which in shuffled.chunk(settings.n_minibatches):
             descent.step(_loss(planner, batch.take(which), settings, acts, left))
         progress(update + 1, {"steps": batch.steps})
-    return planner.eval()
+    return planner.cpu().eval()
 
 
 @dataclass(frozen=True)
@@ -172,8 +172,9 @@ def _collect(planner: Planner, episodes: Episodes, settings: PlannerSettings) ->
         for _ in range(settings.n_steps):
             situation, goal = _situation(planner, episodes)
             log_all = planner.log_probabilities(situation)
-            actions = drawn(log_all, episodes.rng)
+            actions = drawn(log_all.cpu(), episodes.rng)
             outcome = episodes.move(actions.numpy())
+            actions = moved(actions)
             rewards, ended = _rewards(planner, episodes, outcome, settings.step_reward)
             episodes.renew(outcome.done)
             taken = log_all.gather(1, actions[:, None])[:, 0]
@@ -196,17 +197,17 @@ def _collect(planner: Planner, episodes: Episodes, settings: PlannerSettings) ->
 def _situation(planner: Planner, episodes: Episodes) -> tuple[Situation, Tensor]:
     simulator = episodes.simulator
     situation = planner.look(episodes.belief, simulator.step_number, simulator.decoders.information)
-    return situation, torch.from_numpy(simulator.goal.copy())
+    return moved(situation), moved(torch.from_numpy(simulator.goal.copy()))
 
 
 def _rewards(planner: Planner, episodes: Episodes, outcome: Outcome, reward: float) -> tuple[Tensor, Tensor]:
     """Rewards of a step and whether it ended its episode; one cut short is worth what its critic expects."""
-    rewards = torch.full((episodes.n,), reward)
+    rewards = torch.full((episodes.n,), reward, device=device())
     cut: Bools = outcome.truncated
     if cut.any():
-        which = torch.from_numpy(cut)
+        which = moved(torch.from_numpy(cut))
         rewards[which] += planner.value(*_situation(planner, episodes))[which]
-    return rewards, torch.from_numpy(outcome.done)
+    return rewards, moved(torch.from_numpy(outcome.done))
 
 
 def _loss(planner: Planner, batch: _Batch, settings: PlannerSettings, acts: bool, left: float) -> Tensor:

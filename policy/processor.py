@@ -1,12 +1,27 @@
-"""The machine that trains: half-precision matrix products where it has instructions for them, and memory kept."""
+"""The machine that trains: its accelerator, half-precision matrix products, memory kept."""
 
 import ctypes
 import sys
 from contextlib import AbstractContextManager, nullcontext
 from functools import cache
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
+from torch import Tensor
+
+Tensors = TypeVar("Tensors", bound=tuple[Tensor, ...] | Tensor)
+
+
+@cache
+def device() -> torch.device:
+    """Where networks are trained: on CUDA when present. The simulator and all randomness stay on the processor."""
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def moved(tensors: Tensors) -> Tensors:
+    """A tensor, or a named tuple of some, on the device that trains; what is there already isn't copied."""
+    there: Any = tensors.to(device()) if isinstance(tensors, Tensor) else type(tensors)(*map(moved, tensors))
+    return there  # type: ignore[no-any-return]
 
 
 @cache
@@ -20,7 +35,8 @@ def mixed_precision() -> AbstractContextManager[Any]:
 
     Only training and the planner use it. A policy that is evaluated or runs live computes in float32.
     """
-    return torch.autocast("cpu", torch.bfloat16) if has_bfloat16() else nullcontext()
+    fast = torch.cuda.is_bf16_supported() if device().type == "cuda" else has_bfloat16()
+    return torch.autocast(device().type, torch.bfloat16) if fast else nullcontext()
 
 
 _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3  # of glibc's mallopt(3)

@@ -14,7 +14,7 @@ from policy.coverage import Ints
 from policy.descent import Descent, Progress, unheard
 from policy.network import Inputs, Network, perceived, sensing
 from policy.observation import GOAL_NEXT, View
-from policy.processor import mixed_precision
+from policy.processor import device, mixed_precision, moved
 
 DONE = -100
 """Taught after a path's end: `cross_entropy` leaves it out."""
@@ -45,15 +45,15 @@ def recite(
     """Train an actor that searches along the paths, (n_cells, n_steps), until it senses the goal."""
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng(settings.seed)
-    network = Network(world.n_cells)
+    network = Network(world.n_cells).to(device())
     descent = Descent(network.parameters(), settings.learning_rate, 1 / 400, settings.max_gradient)
-    walked = Walk.along(world, paths)
+    walked = Walk.along(world, paths).moved()
     for update in range(settings.updates):
         descent.slow_down(1 - update / settings.updates)
         loss, known = _go_through(network, walked, rng, settings.what_if)
         descent.step(loss)
         progress(update + 1, {"known": known, "loss": loss.item()})
-    return network.eval()
+    return network.cpu().eval()
 
 
 @dataclass(frozen=True)
@@ -88,15 +88,19 @@ class Walk:
         taught = torch.from_numpy(np.where(paths.T < 0, DONE, paths.T))
         return cls(inputs, taught, torch.stack(legal))
 
+    def moved(self) -> "Walk":
+        """The same on the device that trains."""
+        return Walk([moved(each) for each in self.inputs], moved(self.taught), moved(self.legal))
+
 
 def _go_through(network: Network, walk: Walk, rng: np.random.Generator, what_if: float) -> tuple[Tensor, float]:
     """The loss over all steps of all paths, and the share of steps that are known."""
-    hidden = torch.zeros(len(walk.legal[0]), network.n_hidden)
+    hidden = torch.zeros(len(walk.legal[0]), network.n_hidden, device=device())
     logits, imagined, next_door = [], [], []
     with mixed_precision():
         for step, inputs in enumerate(walk.inputs):
             if rng.random() < what_if:
-                towards = torch.multinomial(walk.legal[step].float(), 1)[:, 0]
+                towards = moved(torch.multinomial(walk.legal[step].float().cpu(), 1)[:, 0])
                 imagined.append(network(sensing(inputs, towards + GOAL_NEXT), hidden).logits)
                 next_door.append(towards)
             output = network(inputs, hidden)
