@@ -2,13 +2,17 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
+import numpy as np
 import typer
 
 from bci_app.errors import SetupError
 from bci_app.gridworld import SHIPPED_MAPS, load_map
 from bci_app.terminal import finish, progress_bar
+
+if TYPE_CHECKING:
+    from policy.verdicts import HeldOut, Verdicts
 
 PANEL = "Policies"
 MapOption = Annotated[str, typer.Option("--map", help="open, obstacles or a map file.")]
@@ -72,7 +76,10 @@ def train(
 
 def evaluate(
     map_name: MapOption,
-    verdicts: Annotated[str, typer.Option("--verdicts", help="none, binary:P, rates:HIT:CR or score:P.")],
+    verdicts: Annotated[str | None, typer.Option("--verdicts", help="none, binary:P, rates:HIT:CR or score:P.")] = None,
+    decoder: Annotated[
+        Path | None, typer.Option("--decoder", help="A participant's decoder, in place of --verdicts.")
+    ] = None,
     policy: Annotated[
         str | None,
         typer.Option("--policy", help="A policy's name or file, bayes, planner, sweep or oracle; default: online's."),
@@ -88,21 +95,47 @@ def evaluate(
 ) -> None:
     """Play simulated episodes with a policy or a baseline: steps to the goal and success, with intervals."""
     from policy import checkpoint, evaluation, players
-    from policy.verdicts import Verdicts
 
-    world, kind = load_map(map_name), Verdicts.parse(verdicts, missing)
-    if kind.kind == "told":
-        raise SetupError("--verdicts told is for training; name the decoder to evaluate with, as in score:0.7.")
-    if taken_for is not None:
-        believed = Verdicts.parse(taken_for)
-        if (believed.kind == "score") != (kind.kind == "score") or believed.kind in ("none", "told"):
-            raise SetupError(f"--taken-for must be of the same form as --verdicts {verdicts}, found '{taken_for}'.")
-        kind = replace(kind, taken_for=believed)
-    name = policy or ("none" if kind.kind == "none" else "told")
-    player, heard = players.player_of(name, world, kind, folder or checkpoint.PRETRAINED)
-    figures: dict[str, Any] = {"map": world.name, "verdicts": verdicts, "policy": name}
+    world = load_map(map_name)
+    if (verdicts is None) == (decoder is None):
+        raise SetupError("Give either --verdicts, as in score:0.7, or a participant's --decoder.")
+    if decoder is None:
+        draw: Verdicts | HeldOut = _simulated(str(verdicts), missing, taken_for)
+    elif missing or taken_for is not None:
+        raise SetupError("--missing and --taken-for are for simulated --verdicts, not for a --decoder.")
+    else:
+        draw = _held_out(decoder)
+    name = policy or ("none" if verdicts == "none" else "told")
+    player, heard = players.player_of(name, world, draw, folder or checkpoint.PRETRAINED)
+    figures: dict[str, Any] = {"map": world.name, "verdicts": verdicts or str(decoder), "policy": name}
     figures |= evaluation.report(player, world, heard, episodes, seed)
     finish(figures, as_json)
+
+
+def _simulated(words: str, missing: float, taken_for: str | None) -> "Verdicts":
+    """The verdicts that were asked for, and what they are taken for."""
+    from policy.verdicts import Verdicts
+
+    kind = Verdicts.parse(words, missing)
+    if kind.kind == "told":
+        raise SetupError("--verdicts told is for training; name the decoder to evaluate with, as in score:0.7.")
+    if taken_for is None:
+        return kind
+    believed = Verdicts.parse(taken_for)
+    if (believed.kind == "score") != (kind.kind == "score") or believed.kind in ("none", "told"):
+        raise SetupError(f"--taken-for must be of the same form as --verdicts {words}, found '{taken_for}'.")
+    return replace(kind, taken_for=believed)
+
+
+def _held_out(path: Path) -> "HeldOut":
+    """What a participant's decoder says of moves it wasn't fitted on."""
+    from decoder import model
+    from policy.verdicts import HeldOut
+
+    fitted = model.load(path)
+    evidence, error = fitted.info.evidence, fitted.held_out_error
+    said = np.array([evidence.of(log_odds) for log_odds in fitted.held_out_log_odds], np.float32)
+    return HeldOut(said[error], said[~error], evidence.information)
 
 
 def experiment1(

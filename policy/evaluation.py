@@ -12,7 +12,7 @@ from bci_app.gridworld import GridWorld
 from policy.network import Actor, greedy_actions
 from policy.observation import STEP_LIMIT, View
 from policy.simulator import MAX_DISTANCE, MIN_DISTANCE, Bools, Distribution, Ints, Pairs, Simulator, pair_weights
-from policy.verdicts import Draw
+from policy.verdicts import Draw, HeldOut
 
 UNLIMITED = 400  # steps at which an episode "without a limit" counts as lost
 
@@ -90,7 +90,7 @@ class Result:
 def evaluate(
     player: Player,
     world: GridWorld,
-    draw: Draw,
+    draw: Draw | HeldOut,
     distribution: Distribution = "pairs",
     n: int = 20_000,
     seed: int = 0,
@@ -105,7 +105,7 @@ def evaluate(
     return summarise(play_many(player, world, draw, distribution, n, seed))
 
 
-def report(player: Player, world: GridWorld, draw: Draw, n: int, seed: int) -> dict[str, Any]:
+def report(player: Player, world: GridWorld, draw: Draw | HeldOut, n: int, seed: int) -> dict[str, Any]:
     """The figures that policies are compared by, ready for JSON.
 
     Steps and success over random starts and goals; and success where every initial distance 2 .. 20 is met as often,
@@ -130,7 +130,9 @@ def report(player: Player, world: GridWorld, draw: Draw, n: int, seed: int) -> d
     }
 
 
-def play_many(player: Player, world: GridWorld, draw: Draw, distribution: Distribution, n: int, seed: int) -> Played:
+def play_many(
+    player: Player, world: GridWorld, draw: Draw | HeldOut, distribution: Distribution, n: int, seed: int
+) -> Played:
     """Play ``n`` episodes."""
     start, goal = Pairs(pair_weights(world, distribution)).spread(n, np.random.default_rng(seed))
     rng = np.random.default_rng([seed, 1])  # of the verdicts: apart, so that all players meet the same episodes

@@ -9,28 +9,36 @@ from policy import checkpoint, teachers
 from policy.baselines import BayesPlayer, OraclePlayer, PlannerPlayer, SearchPlayer
 from policy.evaluation import NetworkPlayer, Player
 from policy.simulator import pair_weights
-from policy.verdicts import Verdicts
+from policy.verdicts import HeldOut, Verdicts
 
 BASELINES = ("bayes", "planner", "sweep", "oracle")
 
 
-def player_of(name: str, world: GridWorld, verdicts: Verdicts, folder: Path) -> tuple[Player, Verdicts]:
+def player_of(name: str, world: GridWorld, draw: Verdicts | HeldOut, folder: Path) -> tuple[Player, Verdicts | HeldOut]:
     """A player, and the verdicts as it hears them.
 
     Parameters
     ----------
     name : one of `BASELINES`, a policy file, or a policy's name in the folder, with or without the map before it.
-    verdicts : as the decoder gives them.
+    draw : verdicts as the decoder gives them.
 
-    Raises SetupError when there is no such policy or it is of another map.
+    Raises SetupError when there is no such policy, it is of another map, or it can't hear such verdicts.
     """
     if name in BASELINES:
-        return _baseline(name, world, folder), verdicts
+        return _baseline(name, world, folder), draw
     card = _card(name, world, folder)
     checkpoint.check_fits(card, world)
     assert card.path is not None
     network, _ = checkpoint.load(card.path)
-    return NetworkPlayer(network, world), heard(Verdicts.parse(card.verdicts), verdicts)
+    trained = Verdicts.parse(card.verdicts)
+    if isinstance(draw, Verdicts):
+        return NetworkPlayer(network, world), heard(trained, draw)
+    if trained.kind not in ("told", "none"):
+        raise SetupError(
+            f"Policy '{card.name}' was trained for verdicts of one kind and can't take a decoder's own scores. Choose "
+            f"told, none or one of {', '.join(BASELINES)}."
+        )
+    return NetworkPlayer(network, world), draw if trained.kind == "told" else trained
 
 
 def heard(trained: Verdicts, verdicts: Verdicts) -> Verdicts:

@@ -306,3 +306,22 @@ class Resampled:
     def take(self, which: Bools) -> "Resampled":
         """As `Decoders.take`."""
         return Resampled(self.errors, self.corrects, self.information[which])
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """A participant's own verdicts; calling it draws the decoders of new episodes.
+
+    Attributes
+    ----------
+    errors, corrects : float32, evidence on held-out errors and on held-out correct moves; never empty.
+    information : bits a verdict, as told.
+    """
+
+    errors: Floats
+    corrects: Floats
+    information: float
+
+    def __call__(self, n: int, rng: np.random.Generator) -> Resampled:
+        """The decoders of ``n`` new episodes."""
+        return Resampled(self.errors, self.corrects, np.full(n, self.information, np.float32))

@@ -2,12 +2,17 @@
 
 import json
 
+import numpy as np
 import pytest
 import torch
 from typer.testing import CliRunner
 
 from bci_app.cli import app
+from bci_app.config import Config
 from bci_app.gridworld import load_map
+from decoder.calibration import calibrate
+from decoder.chain import design
+from decoder.model import make_model, save
 from policy.checkpoint import PolicyCard, pack, write
 from policy.network import Network
 
@@ -137,3 +142,32 @@ def test_quick_training_makes_the_told_policy_and_goes_nowhere_near_a_full_one(f
     assert json.loads(done.stdout) == {"policies": [str(folder / "quick" / "square_told.safetensors")]}
     assert figures(*words[:2], "--verdicts", "score:0.8", "--policies", folder / "quick", "--episodes", 50)
     assert "trained with other settings" in refused("train", *words)
+
+
+def decoder_file(folder, shift):
+    """A decoder whose held-out scores of errors and correct moves lie this far apart."""
+    rng, error = np.random.default_rng(0), np.arange(200) % 2 == 0
+    fitted = calibrate(rng.normal(shift * error[:, None], 1, (200, 60)), error, Config().classifier)
+    chain = design(Config().chain, 500.0)
+    details = {"participant": "P1", "channels": ("Fz", "FCz", "Cz", "Pz"), "n_rejected": 0}
+    path = folder / f"decoder_{shift:g}.safetensors"
+    save(make_model(fitted, error, chain, Config().classifier, **details), path)
+    return path
+
+
+def test_a_participants_own_decoder_tells_what_to_expect(folder):
+    words = ("--map", "open", "--policy", "bayes", "--episodes", 300)
+    good, dead = (figures(*words, "--decoder", decoder_file(folder, shift)) for shift in (0.4, 0.0))
+    assert good["verdicts"].endswith("decoder_0.4.safetensors")
+    assert good["mean_steps"] < 12
+    assert dead["mean_steps_ci"][0] > 20
+
+
+def test_a_decoder_that_cant_be_used_so_is_refused(folder):
+    path = decoder_file(folder, 0.4)
+    words = ("evaluate", "--map", "obstacles", "--policies", folder, "--policy")
+    assert "can't take a decoder's own scores" in refused(*words, "075", "--decoder", path)
+    assert "either --verdicts" in refused(*words, "bayes", "--decoder", path, "--verdicts", "none")
+    assert "either --verdicts" in refused(*words, "bayes")
+    assert "for simulated --verdicts" in refused(*words, "bayes", "--decoder", path, "--missing", 0.2)
+    assert "Can't read the decoder" in refused(*words, "bayes", "--decoder", folder / "absent")
