@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 import numpy as np
 import typer
 
+from bci_app.config import PolicyConfig
 from bci_app.errors import SetupError
 from bci_app.gridworld import SHIPPED_MAPS, load_map
 from bci_app.terminal import finish, progress_bar
+from bci_app.verbs import passes_gate
 
 if TYPE_CHECKING:
     from policy.verdicts import HeldOut, Verdicts
@@ -56,6 +58,8 @@ def train(
     _one_of("--backend", backend, ("local", "dask"))
     if library and verdicts:
         raise SetupError("--library trains all verdicts; leave out --verdicts.")
+    if workers == 0:
+        raise SetupError("--workers must be 1 or more, or -1 for one a core; found 0.")
     wanted = training.everything() if library else training.parsed(verdicts or ["told"])
     if quick and recipe == "paper":
         raise SetupError("--quick shortens our recipe; the paper's is shortened with --updates.")
@@ -82,7 +86,10 @@ def evaluate(
     ] = None,
     policy: Annotated[
         str | None,
-        typer.Option("--policy", help="A policy's name or file, bayes, planner, sweep or oracle; default: online's."),
+        typer.Option(
+            "--policy",
+            help="A policy's name or file, bayes, planner, sweep or oracle; default: as `online`.",
+        ),
     ] = None,
     episodes: EpisodesOption = 20_000,
     seed: SeedOption = 0,
@@ -100,14 +107,17 @@ def evaluate(
     if (verdicts is None) == (decoder is None):
         raise SetupError("Give either --verdicts, as in score:0.7, or a participant's --decoder.")
     if decoder is None:
-        draw: Verdicts | HeldOut = _simulated(str(verdicts), missing, taken_for)
+        simulated = _simulated(str(verdicts), missing, taken_for)
+        draw: Verdicts | HeldOut = simulated
+        accuracy = balanced = simulated.balanced_accuracy
     elif missing or taken_for is not None:
         raise SetupError("--missing and --taken-for are for simulated --verdicts, not for a --decoder.")
     else:
-        draw = _held_out(decoder)
-    name = policy or ("none" if verdicts == "none" else "told")
+        draw, accuracy, balanced = _held_out(decoder)
+    name = policy or ("told" if passes_gate(PolicyConfig(), accuracy, balanced) else "none")
     player, heard = players.player_of(name, world, draw, folder or checkpoint.PRETRAINED)
     figures: dict[str, Any] = {"map": world.name, "verdicts": verdicts or str(decoder), "policy": name}
+    figures |= {"missing": missing, "taken_for": taken_for}
     figures |= evaluation.report(player, world, heard, episodes, seed)
     finish(figures, as_json)
 
@@ -127,15 +137,16 @@ def _simulated(words: str, missing: float, taken_for: str | None) -> "Verdicts":
     return replace(kind, taken_for=believed)
 
 
-def _held_out(path: Path) -> "HeldOut":
-    """What a participant's decoder says of moves it wasn't fitted on."""
+def _held_out(path: Path) -> tuple["HeldOut", float, float]:
+    """What a participant's decoder says of moves it wasn't fitted on; its accuracy, plain and balanced."""
     from decoder import model
     from policy.verdicts import HeldOut
 
     fitted = model.load(path)
     evidence, error = fitted.info.evidence, fitted.held_out_error
     said = np.array([evidence.of(log_odds) for log_odds in fitted.held_out_log_odds], np.float32)
-    return HeldOut(said[error], said[~error], evidence.information)
+    accuracy, balanced = (float(fitted.info.tenfold[name]["value"]) for name in ("accuracy", "balanced_accuracy"))
+    return HeldOut(said[error], said[~error], evidence.information), accuracy, balanced
 
 
 def experiment1(

@@ -121,10 +121,8 @@ def choose_policy(
         checkpoint.check_fits(card, world)
         return card, "as asked for"
     by_accuracy = settings.choice == "accuracy"
-    # The paper's gate looks at the plain accuracy, which flatters a decoder where errors are rare.
-    gated = accuracy if by_accuracy else balanced
-    if gated < settings.gate_accuracy and not below_gate:
-        measure = "accuracy" if by_accuracy else "balanced accuracy"
+    if not (passes_gate(settings, accuracy, balanced) or below_gate):
+        measure, gated = ("accuracy", accuracy) if by_accuracy else ("balanced accuracy", balanced)
         return checkpoint.choose_without(world), (
             f"the decoder's cross-validated {measure} of {gated:.1%} is below the gate of {settings.gate_accuracy:.0%} "
             "from which verdicts shorten the way, so the agent searches without them. Recalibrate for a better "
@@ -134,6 +132,12 @@ def choose_policy(
         return checkpoint.choose_by_accuracy(accuracy, world), f"trained nearest to the accuracy of {accuracy:.1%}"
     reason = f"told the decoder's statistics, {info.evidence.information:.2f} bits a verdict"
     return checkpoint.choose_told(world), reason
+
+
+def passes_gate(settings: PolicyConfig, accuracy: float, balanced: float) -> bool:
+    """Whether a decoder's verdicts shorten the way, so that a run uses them."""
+    # The paper's gate looks at the plain accuracy, which flatters a decoder where errors are rare.
+    return (accuracy if settings.choice == "accuracy" else balanced) >= settings.gate_accuracy
 
 
 def _asked_card(policy: str, accuracy: float, world: GridWorld) -> "PolicyCard":
@@ -150,12 +154,15 @@ def _asked_card(policy: str, accuracy: float, world: GridWorld) -> "PolicyCard":
         case "accuracy":
             return checkpoint.choose_by_accuracy(accuracy, world)
     try:
-        return checkpoint.choose_by_accuracy(float(policy), world)
-    except ValueError as error:
+        trained_at = float(policy)
+    except ValueError:
+        trained_at = -1.0
+    if not 0.5 < trained_at <= 1:
         raise SetupError(
-            "--policy must be a policy file, told, accuracy, none, or the accuracy a policy was trained at, as 0.75; "
-            f"found {policy!r}."
-        ) from error
+            "--policy must be a policy file, told, accuracy, none, or the accuracy a policy was trained at, above 0.5 "
+            f"and at most 1 as 0.75; found {policy!r}."
+        )
+    return checkpoint.choose_by_accuracy(trained_at, world)
 
 
 def _look_at_eeg(config: Config) -> EegDescription:

@@ -9,6 +9,7 @@ processes reach on nothing but a large matrix product, in float32 and in bfloat1
 import argparse
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import joblib
 import numpy as np
@@ -71,32 +72,23 @@ def environment(seconds: float, words: str) -> float:
     return timed(play, seconds)
 
 
-class _Enough(Exception):
-    """The time is up."""
-
-
 def training(seconds: float, which: str) -> float:
-    """Moves a second of training, end to end."""
+    """Moves a second of a whole training, all its phases in proportion, of about so many seconds."""
     torch.set_num_threads(1)
     keep_memory()
     world = load_map(MAP)
-    settings = PlannerSettings(critic_updates=0) if which == "planner" else DistillationSettings(guided=0.0)
-    marks: list[tuple[float, int]] = []
-
-    def progress(update: int, _figures: dict[str, float]) -> None:
-        marks.append((time.perf_counter(), update))
-        if marks[-1][0] - marks[0][0] > seconds:
-            raise _Enough
-
-    try:
-        if isinstance(settings, PlannerSettings):
-            train_planner(world, settings, anybody, progress)
-        else:
-            distil(world, Planner(world), anybody, settings, progress)
-    except _Enough:
-        pass
-    (first, before), (last, after) = marks[0], marks[-1]
-    return (after - before) * settings.n_steps * settings.n_episodes / (last - first)
+    full: PlannerSettings | DistillationSettings = PlannerSettings() if which == "planner" else DistillationSettings()
+    moves = full.n_steps * full.n_episodes
+    first_guess = 60_000  # moves a second
+    settings = replace(full, updates=max(round(seconds * first_guess / moves), 10))
+    if isinstance(settings, PlannerSettings):
+        settings = replace(settings, critic_updates=0)
+    started = time.perf_counter()
+    if isinstance(settings, PlannerSettings):
+        train_planner(world, settings, anybody)
+    else:
+        distil(world, Planner(world), anybody, settings)
+    return settings.updates * moves / (time.perf_counter() - started)
 
 
 def main() -> None:

@@ -122,6 +122,8 @@ def unpack(contents: bytes, name: str, path: Path | None = None) -> tuple[Actor,
                 f"'{card.layout}'. Use the program version it was trained with, or train it again."
             )
         network.load_state_dict({name: tensor.float() for name, tensor in tensors.items()})
+        if not all(tensor.isfinite().all() for tensor in tensors.values()):
+            raise ValueError("some are not finite")
     except (RuntimeError, TypeError, ValueError, LookupError) as error:
         raise SetupError(f"Policy '{name}' has weights of another network ({error}). Train it again.") from error
     return network.eval(), card
@@ -139,7 +141,7 @@ def _opened(contents: bytes, name: str, path: Path | None) -> tuple[Tensors, Pol
         tensors, text = opened(contents, _CARD)
         card = PolicyCard(**json.loads(text), path=path)
         Verdicts.parse(card.verdicts)
-    except (Damaged, TypeError, ValueError, SetupError) as error:
+    except (Damaged, AttributeError, TypeError, ValueError, SetupError) as error:
         raise SetupError(
             f"'{name}' must be a policy written by `bci-app train`, but can't be read as one ({error}). Choose another "
             "file or train the policy again."
@@ -164,12 +166,12 @@ def library(folder: Path = PRETRAINED) -> list[PolicyCard]:
 
 def choose_told(world: GridWorld, folder: Path = PRETRAINED) -> PolicyCard:
     """The policy of this map that is told its decoder's statistics. Raises SetupError when there is none."""
-    return _first([card for card in _fitting(world, folder) if card.verdicts == "told"], world, "told", folder)
+    return _of_kind("told", world, folder)
 
 
 def choose_without(world: GridWorld, folder: Path = PRETRAINED) -> PolicyCard:
     """The policy of this map without verdicts. Raises SetupError when there is none."""
-    return _first([card for card in _fitting(world, folder) if card.verdicts == "none"], world, "none", folder)
+    return _of_kind("none", world, folder)
 
 
 def choose_by_accuracy(accuracy: float, world: GridWorld, folder: Path = PRETRAINED) -> PolicyCard:
@@ -181,6 +183,16 @@ def choose_by_accuracy(accuracy: float, world: GridWorld, folder: Path = PRETRAI
     # Rounded, for 0.75 - 0.725 and 0.725 - 0.70 differ in binary.
     trained.sort(key=lambda item: (round(abs(item[0] - accuracy), 9), item[0]))
     return _first([card for _, card in trained], world, "binary:0.75", folder)
+
+
+def _of_kind(verdicts: str, world: GridWorld, folder: Path) -> PolicyCard:
+    """The file that is named so, if it is of this map; else any other. One that is damaged beside it does no harm."""
+    path = folder / f"{policy_name(world.name, Verdicts.parse(verdicts))}{SUFFIX}"
+    if path.exists():
+        card = read_card(path)
+        if card.map_digest == world.digest:
+            return card
+    return _first([card for card in _fitting(world, folder) if card.verdicts == verdicts], world, verdicts, folder)
 
 
 def _fitting(world: GridWorld, folder: Path) -> list[PolicyCard]:

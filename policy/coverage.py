@@ -70,9 +70,11 @@ def _turned_actions(down: bool, right: bool, transposed: bool) -> Ints:
 
 def _path(world: GridWorld, start: int, weight: NDArray[np.float64], beam: int) -> list[int]:
     """The best path found from one start; ``weight``, (n_cells,), is the probability of each goal."""
-    weight = weight / weight.sum()
     sensed_from = _sensed_from(world)
     hidden = np.array([(weight > 0) & ~sensed_from[start]])
+    if not hidden.any():
+        return []  # no goal begins further away than what is sensed from here
+    weight = weight / weight.sum()
     cell, steps = np.array([start]), np.zeros(1)
     moves: list[tuple[Ints, Ints]] = []
     best_steps, best = np.inf, [0]

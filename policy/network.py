@@ -43,7 +43,7 @@ def perceived(view: View) -> Inputs:
     marks[:, :n_cells] = view.visited
     felt = np.flatnonzero(view.sensed)
     marks[felt, _sense_column(n_cells, view.sensed[felt])] = 1
-    marks[:, -2] = view.step / STEP_LIMIT
+    marks[:, -2] = np.minimum(view.step / STEP_LIMIT, 1)
     marks[:, -1] = view.information
     return Inputs(
         move=torch.from_numpy(view.move),

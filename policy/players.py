@@ -31,27 +31,30 @@ def player_of(name: str, world: GridWorld, draw: Verdicts | HeldOut, folder: Pat
     assert card.path is not None
     network, _ = checkpoint.load(card.path)
     trained = Verdicts.parse(card.verdicts)
-    if isinstance(draw, Verdicts):
+    if trained.kind in ("told", "none"):
+        return NetworkPlayer(network, world), draw if trained.kind == "told" else trained
+    if isinstance(draw, Verdicts) and draw.taken_for is None and (trained.kind, draw.kind) not in _UNHEARD:
         return NetworkPlayer(network, world), heard(trained, draw)
-    if trained.kind not in ("told", "none"):
-        raise SetupError(
-            f"Policy '{card.name}' was trained for verdicts of one kind and can't take a decoder's own scores. Choose "
-            f"told, none or one of {', '.join(BASELINES)}."
-        )
-    return NetworkPlayer(network, world), draw if trained.kind == "told" else trained
+    raise SetupError(
+        f"Policy '{card.name}' takes every verdict for one of {trained} and can't be told otherwise, nor take a "
+        f"decoder's own scores for words or words for scores. Choose told, none or one of {', '.join(BASELINES)}."
+    )
+
+
+_UNHEARD = {("score", "binary"), ("score", "rates")}
+"""A policy trained on scores that is given words."""
 
 
 def heard(trained: Verdicts, verdicts: Verdicts) -> Verdicts:
-    """Verdicts as a policy hears them: one trained on words of some accuracy takes all words for such."""
+    """Verdicts as a policy hears them: one trained on verdicts of one kind takes all for such, as `ear.Ear` does."""
     match trained.kind:
         case "none":
             return trained
-        case "binary" | "rates":
-            return verdicts if verdicts.kind == "none" else replace(verdicts.signs(), taken_for=trained)
-        case "score":
-            return replace(verdicts, taken_for=trained) if verdicts.kind == "score" else verdicts
         case "told":
             return verdicts
+    if verdicts.kind == "none":
+        return replace(trained, missing=1.0)  # it goes on expecting some
+    return replace(verdicts.signs() if trained.kind != "score" else verdicts, taken_for=trained)
 
 
 def _baseline(name: str, world: GridWorld, folder: Path) -> Player:

@@ -35,8 +35,14 @@ def mixed_precision() -> AbstractContextManager[Any]:
 
     Only training and the planner use it. A policy that is evaluated or runs live computes in float32.
     """
-    fast = torch.cuda.is_bf16_supported() if device().type == "cuda" else has_bfloat16()
-    return torch.autocast(device().type, torch.bfloat16) if fast else nullcontext()
+    return torch.autocast(device().type, torch.bfloat16) if arithmetic() == "bfloat16" else nullcontext()
+
+
+def arithmetic() -> str:
+    """What matrix products are trained in here. The same seed gives the same weights only in the same arithmetic, and
+    on CUDA only nearly the same, for it adds in any order."""
+    fast = torch.cuda.is_bf16_supported(including_emulation=False) if device().type == "cuda" else has_bfloat16()
+    return "bfloat16" if fast else "float32"
 
 
 _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3  # of glibc's mallopt(3)

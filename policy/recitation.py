@@ -53,7 +53,15 @@ def recite(
         loss, known = _go_through(network, walked, rng, settings.what_if)
         descent.step(loss)
         progress(update + 1, {"known": known, "loss": loss.item()})
-    return network.cpu().eval()
+    return deaf(network.cpu().eval())
+
+
+@torch.no_grad()
+def deaf(network: Network) -> Network:
+    """The network with nothing where a verdict would enter: it never met one, so those weights are still random."""
+    for weights in (network.judged.weight, network.judged_sure.weight, network.from_marks.weight[:, -1]):
+        weights.zero_()
+    return network
 
 
 @dataclass(frozen=True)

@@ -276,6 +276,11 @@ class Verdicts:
             case "told":
                 return anybody(n, rng)
 
+    @property
+    def balanced_accuracy(self) -> float:
+        """Mean of the rates at which errors and correct moves are called so; one half without verdicts."""
+        return (self.numbers[0] + self.numbers[-1]) / 2 if self.numbers else 0.5
+
     def signs(self) -> "Verdicts":
         """The same decoder heard for its word alone, not for its score."""
         return replace(self, kind="binary") if self.kind == "score" else self

@@ -63,6 +63,13 @@ def test_a_policy_that_is_asked_for_is_taken_below_the_gate_too(dead: ModelInfo,
     assert (card.name, reason) == (name, "as asked for")
 
 
+@pytest.mark.parametrize("asked", ["75", "0.5", "-0.7", "nan"])
+def test_an_accuracy_that_is_none_is_refused(dead: ModelInfo, asked: str) -> None:
+    """75 for 0.75 would have the policy take every verdict for certain."""
+    with pytest.raises(SetupError, match=r"above 0\.5 and at most 1"):
+        choose_policy(asked, dead, PolicyConfig(), False, OPEN)
+
+
 def test_what_is_no_policy_and_what_is_of_another_map_is_refused(dead: ModelInfo) -> None:
     with pytest.raises(SetupError, match="found 'best'"):
         choose_policy("best", dead, PolicyConfig(), False, OPEN)

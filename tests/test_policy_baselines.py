@@ -5,15 +5,17 @@ import pytest
 
 from bci_app.errors import SetupError
 from bci_app.gridworld import compile_map, load_map
+from bci_app.told import Told
 from policy import checkpoint, teachers
 from policy.baselines import BayesPlayer, OraclePlayer, PlannerPlayer, SearchPlayer
 from policy.checkpoint import PolicyCard
+from policy.ear import Ear
 from policy.evaluation import NetworkPlayer, evaluate
 from policy.network import Network
 from policy.planner import PlannerSettings
 from policy.players import heard, player_of
 from policy.simulator import Simulator, pair_weights
-from policy.verdicts import Decoders, Verdicts
+from policy.verdicts import Decoders, HeldOut, Verdicts
 
 OPEN, RING = load_map("open"), compile_map("....\n.##.\n.##.\n....", "ring")
 BINARY = Verdicts("binary", (0.7,))
@@ -85,6 +87,15 @@ def test_names_find_players(folder):
         assert verdicts.taken_for == Verdicts("binary", (0.75,))
 
 
+def test_a_policy_that_hears_one_kind_of_verdicts_cant_be_told_otherwise(folder):
+    wrongly = Verdicts("binary", (0.7,), taken_for=Verdicts("binary", (0.9,)))
+    own = HeldOut(np.ones(3, np.float32), -np.ones(3, np.float32), 0.2)
+    for draw in (wrongly, own):
+        with pytest.raises(SetupError, match=r"takes every verdict for one of binary:0\.75"):
+            player_of("ring_075", RING, draw, folder)
+        assert player_of("bayes", RING, draw, folder)[1] is draw
+
+
 def test_an_unknown_name_lists_the_known_ones(folder):
     with pytest.raises(SetupError, match=r"No policy 'best': expected a file, one of bayes.*ring_075"):
         player_of("best", RING, BINARY, folder)
@@ -104,7 +115,7 @@ def test_a_policy_of_another_map_and_a_missing_teacher_are_refused(folder):
         ("binary:0.8", "binary:0.7", "binary:0.7", "binary:0.8"),
         ("binary:0.8", "score:0.7", "binary:0.7", "binary:0.8"),  # it takes the word, not the score
         ("binary:0.8", "rates:0.6:0.9", "rates:0.6:0.9", "binary:0.8"),
-        ("binary:0.8", "none", "none", None),
+        ("binary:0.8", "none", "binary:0.8", None),
         ("score:0.8", "score:0.7", "score:0.7", "score:0.8"),
         ("told", "score:0.7", "score:0.7", None),
         ("told", "rates:0.6:0.9", "rates:0.6:0.9", None),
@@ -114,6 +125,27 @@ def test_how_each_kind_of_policy_hears_verdicts(trained, given, kind, taken_for)
     found = heard(Verdicts.parse(trained), Verdicts.parse(given))
     assert str(found) == kind
     assert found.taken_for == (taken_for and Verdicts.parse(taken_for))
+    assert found.missing == (given == "none" and trained == "binary:0.8")
+
+
+@pytest.mark.parametrize("trained", ["none", "binary:0.8", "rates:0.6:0.9", "score:0.8", "told"])
+@pytest.mark.parametrize("given", ["none", "binary:0.7", "rates:0.5:0.95", "score:0.7"])
+def test_a_policy_hears_in_simulation_what_it_hears_live(trained, given):
+    policy, verdicts = Verdicts.parse(trained), Verdicts.parse(given)
+    if policy.kind == "score" and verdicts.kind in ("binary", "rates"):
+        return  # refused: see below
+    rng, n = np.random.default_rng(0), 400
+    error = np.arange(n) % 2 == 0
+    simulated = heard(policy, verdicts)(n, rng)
+    found = simulated.evidence(error, rng)
+    rates = verdicts.numbers or (0.5, 0.5)
+    ear = Ear(policy, Told(rates[0], rates[-1], float(simulated.information[0])))
+    np.testing.assert_allclose(simulated.information, ear.information, rtol=1e-6)
+    if verdicts.kind == "none":
+        assert not found.any()
+    elif verdicts.kind != "score":
+        words = {np.float32(ear.evidence(word, None)) for word in ("error", "correct")}
+        assert set(found.tolist()) == {float(word) for word in words}
 
 
 def test_a_teacher_that_is_damaged_or_of_another_map_is_refused(folder):

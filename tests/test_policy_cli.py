@@ -116,6 +116,7 @@ def test_a_file_that_is_no_policy_and_a_map_that_is_none_are_refused(folder):
         (("--backend", "dask"), "needs --scheduler ADDRESS"),
         (("--quick", "--recipe", "paper"), "--quick shortens our recipe"),
         (("--updates", 0), "--updates"),
+        (("--workers", 0), "--workers must be 1 or more"),
         (("--map", "nowhere.txt"), "No map 'nowhere.txt'"),
     ],
 )

@@ -164,3 +164,17 @@ def test_the_told_network_searches_or_listens_as_it_is_told_and_never_mixes_memo
             whole = told(inputs, torch.zeros(8, told.n_hidden))
             torch.testing.assert_close(part.logits, whole.logits[which])
         simulator.step(np.argmax(RING.legal[simulator.cell], axis=1))
+
+
+def test_a_search_hears_nothing():
+    network, rng = reciting(), np.random.default_rng(0)
+    start, goal = Pairs(pair_weights(RING, "pairs")).draw(20, rng)
+    simulator, hidden = Simulator(RING, start, goal, anybody(20, rng), rng), torch.zeros(20, network.n_hidden)
+    for _ in range(5):
+        simulator.step(np.argmax(RING.legal[simulator.cell], axis=1))
+        heard = simulator.view()
+        nothing = np.zeros(20, np.float32)
+        silent = replace(heard, evidence=nothing, information=nothing)
+        one, other = (network(network.look(RING, view), hidden) for view in (heard, silent))
+        assert torch.equal(one.logits, other.logits)
+        hidden = one.hidden
