@@ -60,16 +60,19 @@ def train(
         raise SetupError("--library trains all verdicts; leave out --verdicts.")
     if workers == 0:
         raise SetupError("--workers must be 1 or more, or -1 for one a core; found 0.")
-    wanted = training.everything() if library else training.parsed(verdicts or ["told"])
+    if recipe == "paper" and not (library or verdicts):
+        raise SetupError("--recipe paper trains for one kind of verdicts each: name some, as --verdicts binary:0.75.")
+    chosen = cast(Literal["ours", "paper"], recipe)
+    wanted = training.everything(chosen) if library else training.parsed(verdicts or ["told"])
     if quick and recipe == "paper":
         raise SetupError("--quick shortens our recipe; the paper's is shortened with --updates.")
-    settings = (training.Settings.quick() if quick else training.Settings()).with_(updates, seed)
+    settings = (training.Settings.quick() if quick else training.Settings()).with_(updates, seed, wanted)
     where = training.Backend(cast(Literal["local", "dask"], backend), workers, scheduler)
     with progress_bar(as_json) as progress:
         paths = training.train(
             map_name or list(SHIPPED_MAPS),
             wanted,
-            cast(Literal["ours", "paper"], recipe),
+            chosen,
             out,
             settings,
             where,

@@ -1,154 +1,263 @@
-"""Every figure of the shipped policies beside what the exact Bayes filter reaches, in one run.
+"""Every figure of the shipped policies beside what the exact Bayes filter reaches, and whether it is good enough.
 
-    python benchmarks/policy_steps.py [--episodes 20000] [--rates real_verdicts.tsv] [--json FILE]
+    python benchmarks/policy_steps.py [--episodes 20000] [--rates real_verdicts.tsv] [--special FOLDER]
+                                      [--cache FILE.jsonl] [--json FILE]
 
 For each map, as Markdown tables: binary verdicts by accuracy, scores, both near chance, real pairs of rates, wrongly
-told accuracies and missing verdicts. All players meet the same episodes (distance 2 or more, greedy moves); success is
-the mean over the initial distances 2 to 20, of as many episodes again. Deterministic; all cores share the work.
+told accuracies and missing verdicts; at the end one line for each requirement with its worst case. Roles are Bayes (the
+exact filter and the greedy move), the planner on its belief, the specialised policy (trained for these very verdicts),
+the one that is told the decoder's statistics, the paper's recipe, and none (the policy without verdicts).
+
+All play greedily on the same starts and goals, distance 2 or more; an episode without end counts 400 steps. Intervals
+are of 95 %, each of its case alone: of means the normal one, of ratios the paired one. Success is the mean over the
+initial distances 2 to 20, of as many episodes again, with Wilson's interval of all of them. Deterministic; all cores
+share the work. With --cache a run that was interrupted goes on where it was.
 """
 
 import argparse
 import json
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any, Literal
 
-import joblib
-import torch
+from policy_cases import Play, Row, play_all, read_people, rows
 
-from bci_app.gridworld import SHIPPED_MAPS, load_map
+from bci_app.gridworld import SHIPPED_MAPS
+from bci_app.terminal import progress_bar
 from policy.checkpoint import PRETRAINED
-from policy.evaluation import report
+from policy.evaluation import Played, paired_ratio, summarise
 from policy.library import ACCURACIES
-from policy.players import player_of
-from policy.verdicts import Verdicts
 
-NEAR_CHANCE = (0.52, 0.54, 0.56, 0.58)
-"""Where verdicts begin to help; 0.55 and 0.60 stand in the other tables."""
-OFF = 0.10
-"""Points by which an accuracy is told wrongly."""
+Figure = tuple[float, float, float]
+"""An estimate and the ends of its interval."""
+Quantity = Literal["steps", "ratios", "success"]
+TITLES: dict[Quantity, str] = {
+    "steps": "mean steps",
+    "ratios": "ratios of mean steps, paired",
+    "success": "success within 60 steps, mean over distances 2 to 20",
+}
+RATIOS = {
+    "binary": ("specialised/Bayes", "told/Bayes", "planner/Bayes", "paper/Bayes", "told/specialised"),
+    "score": ("told/Bayes", "planner/Bayes", "told/none"),
+    "near chance": ("told/none", "Bayes/none", "planner/none", "told/Bayes"),
+    "real": ("told/specialised", "told/Bayes", "told/none", "specialised/Bayes", "planner/Bayes"),
+    "wrongly told": ("wrongly/rightly",),
+    "missing": ("told/Bayes", "told/told all"),
+}
+WITH_SUCCESS = ("binary", "score")
 
 
 @dataclass(frozen=True)
-class Case:
-    """One cell: a player, what it is given and what it takes that for."""
+class Measured:
+    """The figures of one row, by role or by pair of roles."""
+
+    row: Row
+    steps: dict[str, Figure]
+    ratios: dict[str, Figure]
+    success: dict[str, Figure]
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A bound that every case of a table must keep: all maps and labels unless they are named."""
 
     table: str
-    label: str
-    map: str
-    player: str
-    verdicts: str
-    taken_for: str | None = None
-    missing: float = 0.0
+    quantity: Quantity
+    what: str
+    sense: Literal["<=", "<", ">="]
+    bound: float
+    labels: tuple[str, ...] = ()
+    maps: tuple[str, ...] = ()
 
-    def run(self, episodes: int, folder: Path) -> dict[str, object]:
-        """The player's figures, or none where the folder has no such policy."""
-        torch.set_num_threads(1)
-        world = load_map(self.map)
-        believed = Verdicts.parse(self.taken_for) if self.taken_for else None
-        given = Verdicts.parse(self.verdicts)
-        player, heard = player_of(
-            self.player, world, Verdicts(given.kind, given.numbers, self.missing, believed), folder
-        )
-        return report(player, world, heard, episodes, seed=2022)
+    def concerns(self, row: Row) -> bool:
+        """Whether the row is one of its cases."""
+        inside = (not self.labels or row.label in self.labels) and (not self.maps or row.map in self.maps)
+        return row.table == self.table and inside
 
+    def kept(self, value: float) -> bool:
+        """Whether an estimate is good enough."""
+        return {"<=": value <= self.bound, "<": value < self.bound, ">=": value >= self.bound}[self.sense]
 
-def cases(name: str, rates: list[tuple[str, float, float, float, float]], folder: Path) -> Iterator[Case]:
-    """All cells of one map."""
-
-    def there(policy: str) -> bool:
-        return (folder / f"{name}_{policy}.safetensors").exists()
-
-    for player in ("bayes", "sweep", "none", "told", "none_paper"):
-        if player in ("bayes", "sweep") or there(player):
-            yield Case("binary", "none", name, player, "none")
-    for accuracy in ACCURACIES:
-        words, number = f"binary:{accuracy:g}", f"{accuracy * 100:03.0f}"
-        for player in ("bayes", "planner", number, "told", f"{number}_paper"):
-            if player in ("bayes", "planner") or there(player):
-                yield Case("binary", f"{accuracy:.2f}", name, player, words)
-    for accuracy in (*ACCURACIES[:-1], 0.99):
-        for player in ("bayes", "planner", "told"):
-            yield Case("score", f"{accuracy:.2f}", name, player, f"score:{accuracy:g}")
-    for accuracy in NEAR_CHANCE:
-        for kind in ("binary", "score"):
-            for player in ("bayes", "planner", "none", "told"):
-                yield Case("near chance", f"{kind} {accuracy:.2f}", name, player, f"{kind}:{accuracy:g}")
-    for person, hit, rejection, told_hit, told_rejection in rates:
-        words, told = f"rates:{hit!r}:{rejection!r}", f"rates:{told_hit!r}:{told_rejection!r}"
-        for player in ("bayes", "planner", "told"):
-            yield Case("real", person, name, player, words, told)
-    for accuracy in ACCURACIES[:-1]:
-        for shift in (-OFF, OFF):
-            wrong = round(min(max(accuracy + shift, 0.505), 0.999), 3)
-            for kind in ("binary", "score"):
-                label = f"{kind} {accuracy:.2f} told {wrong:g}"
-                yield Case("wrongly told", label, name, "told", f"{kind}:{accuracy:g}", f"{kind}:{wrong:g}")
-    for accuracy in (0.7, 0.8):
-        for kind in ("binary", "score"):
-            for missing in (0.1, 0.2, 0.4):
-                label = f"{kind} {accuracy:.2f}, {missing:.0%} missing"
-                for player in ("bayes", "told"):
-                    yield Case("missing", label, name, player, f"{kind}:{accuracy:g}", None, missing)
+    def __str__(self) -> str:
+        labels = "all" if not self.labels else " to ".join(dict.fromkeys((self.labels[0], self.labels[-1])))
+        where = ", ".join((*self.maps, self.table, labels))
+        bound = f"{100 * self.bound:g} %" if self.quantity == "success" else f"{self.bound:g}"
+        what = self.what if self.quantity == "ratios" else f"{self.quantity} of {self.what}"
+        return f"{where}: {what} {self.sense} {bound}"
 
 
-def read_rates(path: Path) -> list[tuple[str, float, float, float, float]]:
-    """Each person's rates, and as their decoder would tell them (Jeffreys: no rate of so few moves is 0 or 1)."""
-    rows = [line.split("\t") for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
-    people = []
-    for person, *counts in rows[1:]:
-        n_error, hits, n_correct, rejections = map(int, counts)
-        told = (hits + 0.5) / (n_error + 1), (rejections + 0.5) / (n_correct + 1)
-        people.append((person, hits / n_error, rejections / n_correct, *told))
-    return people
+EVERY_P = tuple(f"{accuracy:.2f}" for accuracy in ACCURACIES)
+OPEN_STEPS = {"none": 23.0, "0.70": 17.0, "0.80": 12.9, "1.00": 9.6}
+SUCCESS = {"none": 0.96, "0.70": 0.99, "0.80": 0.999}
+REQUIREMENTS = (
+    *(Requirement("binary", "ratios", f"{who}/Bayes", "<=", 1.02) for who in ("specialised", "told")),
+    *(
+        Requirement("binary", "steps", who, "<=", bound, (label,), ("open",))
+        for who in ("specialised", "told")
+        for label, bound in OPEN_STEPS.items()
+    ),
+    *(
+        Requirement("binary", "success", who, ">=", bound, (label,))
+        for who in ("specialised", "told")
+        for label, bound in SUCCESS.items()
+    ),
+    *(Requirement("score", "success", "told", ">=", SUCCESS[label], (label,)) for label in ("0.70", "0.80")),
+    Requirement("score", "ratios", "told/Bayes", "<=", 1.02),
+    Requirement("score", "steps", "told", "<=", 15.1, ("0.70",)),
+    Requirement("score", "ratios", "told/none", "<", 0.92, ("0.60",)),
+    Requirement("binary", "ratios", "told/specialised", "<=", 1.02, EVERY_P),
+    Requirement("real", "ratios", "told/specialised", "<=", 1.03),
+    Requirement("real", "ratios", "told/none", "<=", 1.02),
+    Requirement("real", "ratios", "told/none", "<=", 1.02, ("s10",)),
+    Requirement("wrongly told", "ratios", "wrongly/rightly", "<=", 1.10),
+)
 
 
-def show(table: str, name: str, found: dict[Case, dict[str, object]]) -> None:
-    """One Markdown table: a row a label, a column a player, its steps against Bayes and its success."""
-    chosen = {case: figures for case, figures in found.items() if case.table == table and case.map == name}
-    players = list(dict.fromkeys(_column(case) for case in chosen))
-    print(
-        f"\n### {name}, {table}\n\n| verdicts | " + " | ".join(players) + " |\n|---" * 1 + "|---" * len(players) + "|"
+def needed(row: Row) -> list[Play]:
+    """What must be played for a row."""
+    far = [replace(play, distribution="distances") for play in row.plays.values() if row.table in WITH_SUCCESS]
+    return [*row.plays.values(), *far]
+
+
+def measure(row: Row, played: dict[Play, Played]) -> Measured:
+    """The figures of a row; a ratio is left out where one of its two roles is."""
+    pairs = [what.split("/") for what in RATIOS[row.table]]
+    return Measured(
+        row,
+        {role: _mean(played[play]) for role, play in row.plays.items()},
+        {
+            f"{one}/{other}": paired_ratio(played[row.plays[one]], played[row.plays[other]])
+            for one, other in pairs
+            if one in row.plays and other in row.plays
+        },
+        {
+            role: _success(played[replace(play, distribution="distances")])
+            for role, play in row.plays.items()
+            if row.table in WITH_SUCCESS
+        },
     )
-    for label in dict.fromkeys(case.label for case in chosen):
-        row = {_column(case): figures for case, figures in chosen.items() if case.label == label}
-        print(f"| {label} | " + " | ".join(_cell(row.get(player), row.get("bayes")) for player in players) + " |")
 
 
-def _column(case: Case) -> str:
-    number = case.player.partition("_")
-    return ("specialised" if number[0].isdigit() or number[0] == "none" else number[0]) + "".join(number[1:])
+def _mean(played: Played) -> Figure:
+    found = summarise(played)
+    return found.mean_steps, *found.mean_steps_ci
 
 
-def _cell(figures: dict[str, object] | None, bayes: dict[str, object] | None) -> str:
-    if figures is None:
+def _success(played: Played) -> Figure:
+    found = summarise(played)
+    return found.success_60_by_distance_mean, *found.success_60_ci
+
+
+def show(found: Sequence[Measured], name: str, table: str, quantity: Quantity) -> None:
+    """One Markdown table: a line a row, a column a role or a pair of roles."""
+    lines = {
+        each.row.label: getattr(each, quantity) for each in found if (each.row.map, each.row.table) == (name, table)
+    }
+    columns = list(dict.fromkeys(column for line in lines.values() for column in line))
+    if quantity == "ratios":
+        columns.sort(key=RATIOS[table].index)
+    if columns:
+        print(f"\n### {name}, {table}: {TITLES[quantity]}\n")
+        _print_table(
+            ["verdicts", *columns],
+            [[label, *(_cell(line.get(column), quantity) for column in columns)] for label, line in lines.items()],
+        )
+
+
+def _print_table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> None:
+    for line in (header, ["---"] * len(header), *lines):
+        print("| " + " | ".join(line) + " |")
+
+
+def _cell(figure: Figure | None, quantity: Quantity) -> str:
+    if figure is None:
         return ""
-    low, high = figures["mean_steps_ci"]  # type: ignore[misc]
-    ratio = f", x{figures['mean_steps'] / bayes['mean_steps']:.3f}" if bayes else ""  # type: ignore[operator]
-    half = (high - low) / 2
-    return f"{figures['mean_steps']:.2f} ± {half:.2f}{ratio}, {figures['success_60_by_distance_mean']:.2%}"
+    value, low, high = figure
+    match quantity:
+        case "steps":
+            return f"{value:.2f} ± {(high - low) / 2:.2f}"
+        case "ratios":
+            return f"{value:.3f} [{low:.3f}, {high:.3f}]"
+        case "success":
+            return f"{100 * value:.2f} % [{100 * low:.2f}, {100 * high:.2f}]"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How a requirement fares: its worst case, how many of its cases were played, and whether all of them keep it."""
+
+    requirement: str
+    worst: Figure | None
+    where: str
+    played: int
+    cases: int
+    holds: str
+
+
+def judge(requirement: Requirement, found: Sequence[Measured]) -> Verdict:
+    """Look for the worst case; an estimate decides, not its interval, and cases that weren't played prove nothing."""
+    rows = [each for each in found if requirement.concerns(each.row)]
+    figures = [(getattr(each, requirement.quantity).get(requirement.what), each.row) for each in rows]
+    there = [(figure, row) for figure, row in figures if figure is not None]
+    if not there:
+        return Verdict(str(requirement), None, "", 0, len(rows), "not played")
+    worst, row = (min if requirement.sense == ">=" else max)(there, key=lambda case: case[0][0])
+    complete = "yes" if len(there) == len(rows) else "incomplete"
+    holds = complete if requirement.kept(worst[0]) else "NO"
+    return Verdict(str(requirement), worst, f"{row.map}, {row.label}", len(there), len(rows), holds)
+
+
+def summary(found: Sequence[Measured]) -> list[Verdict]:
+    """Print and return how all requirements fare."""
+    verdicts = [judge(requirement, found) for requirement in REQUIREMENTS]
+    print("\n### requirements\n")
+    lines = [
+        [v.requirement, _cell(v.worst, r.quantity), v.where, f"{v.played} of {v.cases}", v.holds]
+        for v, r in zip(verdicts, REQUIREMENTS, strict=True)
+    ]
+    _print_table(["requirement", "worst case", "where", "cases played", "holds"], lines)
+    return verdicts
+
+
+def as_json(each: Measured) -> dict[str, Any]:
+    """A row with its figures, each an estimate and the ends of its interval."""
+    row = each.row
+    players = {
+        role: {"player": Path(play.player).stem, "verdicts": asdict(play.verdicts)} for role, play in row.plays.items()
+    }
+    figures = {"steps": each.steps, "ratios": each.ratios, "success": each.success}
+    return {"table": row.table, "map": row.map, "verdicts": row.label, "players": players, **figures}
 
 
 def main() -> None:
-    """Play all cases and print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    """Play what isn't in the cache and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--episodes", type=int, default=20_000)
-    parser.add_argument("--policies", type=Path, default=PRETRAINED)
-    parser.add_argument("--rates", type=Path, help="hits and correct rejections of people, tab-separated")
+    parser.add_argument("--seed", type=int, default=2022)
     parser.add_argument("--maps", nargs="+", default=SHIPPED_MAPS)
+    parser.add_argument("--policies", type=Path, default=PRETRAINED, help="folder of policies and teachers")
+    parser.add_argument("--rates", type=Path, help="counted hits and correct rejections of people, tab-separated")
+    parser.add_argument("--special", type=Path, help="folder of policies trained for the true rates of these people")
+    parser.add_argument("--cache", type=Path, help="keep what was played here, one JSON line each, and go on from it")
     parser.add_argument("--json", type=Path, help="write all figures here")
     options = parser.parse_args()
-    rates = read_rates(options.rates) if options.rates else []
-    work = [case for name in options.maps for case in cases(name, rates, options.policies)]
-    run = joblib.delayed(Case.run)
-    results = joblib.Parallel(n_jobs=-1)(run(case, options.episodes, options.policies) for case in work)
-    found = dict(zip(work, results, strict=True))
+    people = read_people(options.rates) if options.rates else []
+    wanted = [row for name in options.maps for row in rows(name, people, options.policies, options.special)]
+    plays = [play for row in wanted for play in needed(row)]
+    print(f"{options.episodes} episodes, seed {options.seed}; {len(set(plays))} sets of them", flush=True)
+    with progress_bar(quiet=False) as progress:
+        played = play_all(plays, options.policies, options.episodes, options.seed, options.cache, progress)
+    found = [measure(row, played) for row in wanted]
     for name in options.maps:
-        for table in dict.fromkeys(case.table for case in work):
-            show(table, name, found)
+        for table in RATIOS:
+            for quantity in TITLES:
+                show(found, name, table, quantity)
+    verdicts = summary(found)
     if options.json:
-        told = [{**case.__dict__, **figures} for case, figures in found.items()]
-        options.json.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+        figures = {"episodes": options.episodes, "seed": options.seed, "rows": [as_json(each) for each in found]}
+        figures["requirements"] = [asdict(verdict) for verdict in verdicts]
+        options.json.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,44 +1,35 @@
-"""Training many policies: a sweep over jobs through joblib, on this machine's cores or on a Dask cluster.
+"""Training many policies: a sweep over jobs, on this machine or on a cluster.
 
-Workers return the contents of files and this process writes them, each whole or not at all; so a sweep that was
-interrupted goes on with what is missing, and a cluster needs no shared disk.
+Workers return the contents of files and this process writes them, each whole or not at all and none over another; so a
+sweep that was interrupted goes on with what is missing, and a cluster needs no shared disk.
 """
 
 import json
+import os
 import tempfile
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, Self
-
-import joblib
+from typing import Any, Self
+from uuid import uuid4
 
 from bci_app.errors import SetupError
-from bci_app.gridworld import load_map
+from bci_app.gridworld import GridWorld, load_map
 from bci_app.progress import Progress
 from policy import teachers
 from policy.actor_critic import ActorCriticSettings
-from policy.checkpoint import SUFFIX, check_fits, read_card, write
+from policy.checkpoint import SUFFIX, Recipe, check_fits, load, policy_name
 from policy.distillation import DistillationSettings
 from policy.planner import PlannerSettings
 from policy.recitation import RecitationSettings
 from policy.training import MISSING, PolicyJob, TeacherJob
 from policy.verdicts import Verdicts
-
-Job = TeacherJob | PolicyJob
+from policy.workers import Backend as Backend
+from policy.workers import Job, Pool, Watch, pool_of
 
 ACCURACIES = tuple(round(0.55 + 0.05 * number, 2) for number in range(10))
 """Of the binary policies of the library."""
 TOLD, WITHOUT = Verdicts("told"), Verdicts("none")
-CONNECT_TIMEOUT_S = 10.0
-"""Real seconds a cluster's scheduler may take to answer."""
-POLL_S = 0.5
-"""Real seconds between two looks at how far the workers are."""
-_ALONE = threading.Lock()
-"""Held by a job that runs: a process has one generator of weights and one cache of rounded weights, and a Dask worker
-may have several threads. With two jobs at a time the same seed wouldn't give the same weights."""
 
 
 @dataclass(frozen=True)
@@ -63,30 +54,32 @@ class Settings:
             told=DistillationSettings(updates=400),
         )
 
-    def with_(self, updates: int | None, seed: int) -> Self:
-        """The same with another seed and, unless None, another number of updates; the teacher keeps its own."""
-        changes: dict[str, Any] = {"seed": seed} | ({} if updates is None else {"updates": updates})
-        return replace(
-            self,
-            search=replace(self.search, **changes),
-            told=replace(self.told, **changes),
-            special=replace(self.special, **changes),
-            paper=replace(self.paper, **changes),
-        )
+    def with_(self, updates: int | None, seed: int, wanted: Sequence[Verdicts] | None = None) -> Self:
+        """The same with another seed and, unless None, another number of updates for the kinds that are wanted.
+
+        With None wanted, for all. What is trained only because those need it keeps its updates, and the teacher both.
+        """
+        kinds = _KINDS if wanted is None else {"paper", *map(_kind, wanted)}
+
+        def changed(kind: str) -> Any:
+            changes = {"seed": seed} if updates is None or kind not in kinds else {"seed": seed, "updates": updates}
+            return replace(getattr(self, kind), **changes)
+
+        return replace(self, **{kind: changed(kind) for kind in _KINDS})
 
 
-@dataclass(frozen=True)
-class Backend:
-    """Where jobs run: ``local`` on ``n_workers`` processes, or ``dask`` at a scheduler's address."""
-
-    name: Literal["local", "dask"] = "local"
-    n_workers: int = -1
-    scheduler: str | None = None
+_KINDS = ("search", "told", "special", "paper")
 
 
-def everything() -> list[Verdicts]:
-    """What the shipped library holds of each map: told, without, and one for each of `ACCURACIES`."""
-    return [TOLD, WITHOUT, *(Verdicts("binary", (accuracy,)) for accuracy in ACCURACIES)]
+def _kind(verdicts: Verdicts) -> str:
+    """Which settings our recipe trains a policy with."""
+    return {TOLD: "told", WITHOUT: "search"}.get(verdicts, "special")
+
+
+def everything(recipe: Recipe = "ours") -> list[Verdicts]:
+    """What the library holds of each map: told, without, and one for each of `ACCURACIES`; none told by the paper's."""
+    told = [TOLD] if recipe == "ours" else []
+    return [*told, WITHOUT, *(Verdicts("binary", (accuracy,)) for accuracy in ACCURACIES)]
 
 
 def parsed(words: Sequence[str]) -> list[Verdicts]:
@@ -97,7 +90,7 @@ def parsed(words: Sequence[str]) -> list[Verdicts]:
 def train(
     maps: Sequence[str],
     wanted: Sequence[Verdicts],
-    recipe: Literal["ours", "paper"],
+    recipe: Recipe,
     folder: Path,
     settings: Settings,
     backend: Backend,
@@ -107,7 +100,7 @@ def train(
 
     Parameters
     ----------
-    maps : shipped maps, or paths of map files.
+    maps : shipped maps, or paths of map files; the same map twice, whatever its name, counts once.
     wanted : a policy of each map for each.
     recipe : ours or the paper's.
 
@@ -115,32 +108,38 @@ def train(
     -------
     Paths of the wanted policies, trained now or before.
 
-    Raises SetupError when a file is there but was trained otherwise (it is never overwritten), or when the cluster
-    doesn't answer.
+    Raises SetupError when the recipe can't train what is wanted, two policies would share a file, the folder can't be
+    written, the cluster doesn't answer or is lost, or a file is there but damaged or trained otherwise (none is ever
+    overwritten). What stops one job is raised after the others are done and kept.
     """
-    with _pool(backend):
+    worlds, wanted = _distinct(maps), list(dict.fromkeys(wanted))
+    _check_wanted(worlds, wanted, recipe, folder)
+    with pool_of(backend) as pool:
+        _check_writable(folder)
 
         def finished(jobs: Sequence[Job], what: str) -> list[Path]:
-            _sweep(jobs, folder, backend, progress, what)
+            _sweep(jobs, folder, pool, progress, what)
             return [_path(job, folder) for job in jobs]
 
         if recipe == "paper":
-            return finished(
-                [PolicyJob(name, _in_training(each), settings.paper) for name in maps for each in wanted], "policies"
-            )
-        lessons = _contents(maps, finished([TeacherJob(name, settings.teacher) for name in maps], "teachers"))
-        without = [PolicyJob(name, WITHOUT, settings.search, lessons[name]) for name in maps]
-        searches = finished(without, "searches")
+            return finished([PolicyJob(world, each, settings.paper) for world in worlds for each in wanted], "policies")
+        lessons = _contents(finished([TeacherJob(world, settings.teacher) for world in worlds], "teachers"))
+        searches = finished(
+            [PolicyJob(world, WITHOUT, settings.search, lesson) for world, lesson in zip(worlds, lessons, strict=True)],
+            "searches",
+        )
         if set(wanted) == {WITHOUT}:
             return searches
-        search = _contents(maps, searches)
         told = finished(
-            [PolicyJob(name, TOLD, settings.told, lessons[name], search[name]) for name in maps], "told policies"
+            [
+                PolicyJob(world, TOLD, settings.told, lesson, search)
+                for world, lesson, search in zip(worlds, lessons, _contents(searches), strict=True)
+            ],
+            "told policies",
         )
-        start = _contents(maps, told)
         rest = [
-            PolicyJob(name, _in_training(each), settings.special, lessons[name], start=start[name])
-            for name in maps
+            PolicyJob(world, replace(each, missing=MISSING), settings.special, lesson, start=start)
+            for world, lesson, start in zip(worlds, lessons, _contents(told), strict=True)
             for each in wanted
             if each not in (TOLD, WITHOUT)
         ]
@@ -148,136 +147,151 @@ def train(
     return (searches if WITHOUT in wanted else []) + (told if TOLD in wanted else []) + special
 
 
-def _contents(maps: Sequence[str], paths: Sequence[Path]) -> dict[str, bytes]:
-    """The contents of each map's file."""
-    return {name: path.read_bytes() for name, path in zip(maps, paths, strict=True)}
+def _distinct(maps: Sequence[str]) -> list[GridWorld]:
+    """Each map once, by the first of its names."""
+    worlds: dict[str, GridWorld] = {}
+    for name in maps:
+        world = load_map(name)
+        worlds.setdefault(world.digest, world)
+    return list(worlds.values())
 
 
-def _in_training(verdicts: Verdicts) -> Verdicts:
-    """Some verdicts are missing in training, as they will be in sessions."""
-    return verdicts if verdicts in (TOLD, WITHOUT) else replace(verdicts, missing=MISSING)
+def _check_wanted(worlds: Sequence[GridWorld], wanted: Sequence[Verdicts], recipe: Recipe, folder: Path) -> None:
+    """Raise SetupError for verdicts the recipe can't train with, and for two policies of one file name."""
+    unheard = [str(each) for each in wanted if recipe == "paper" and each.kind in ("told", "score")]
+    if unheard:
+        raise SetupError(
+            "The paper's network hears a verdict's word, not how sure it is: it is trained with none, binary:P or "
+            f"rates:HIT:CR, found {', '.join(unheard)}. Choose such verdicts, or leave out --recipe."
+        )
+    needed = wanted if recipe == "paper" else dict.fromkeys([TOLD, WITHOUT, *wanted])
+    seen: dict[str, Path] = {}
+    for path in [folder / f"{policy_name(world.name, each, recipe)}{SUFFIX}" for world in worlds for each in needed]:
+        # Windows and macOS take names for the same that differ in capitals only.
+        if path.name.casefold() in seen:
+            raise SetupError(
+                f"Two of the policies would be the file {path}: their maps have the same name, or their verdicts "
+                "differ by less than a name tells. Rename a map file, or train them in folders of their own."
+            )
+        seen[path.name.casefold()] = path
+
+
+def _check_writable(folder: Path) -> None:
+    """Make the folder and try it, before hours are spent on what couldn't be kept there."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.NamedTemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise SetupError(f"Can't write into {folder} ({error}). Choose another folder with --out.") from error
+
+
+def _contents(paths: Sequence[Path]) -> list[bytes]:
+    return [path.read_bytes() for path in paths]
 
 
 def _path(job: Job, folder: Path) -> Path:
     if isinstance(job, TeacherJob):
-        return teachers.path_of(folder, load_map(job.map))
+        return teachers.path_of(folder, job.world)
     return folder / f"{job.name}{SUFFIX}"
 
 
 def _is_there(job: Job, folder: Path) -> bool:
-    """Whether the job's file is there; SetupError when it is another map's or was trained with other settings."""
+    """Whether the job's file is there; SetupError when it can't be used, is another map's or was trained otherwise."""
     path = _path(job, folder)
     if not path.exists():
         return False
-    if isinstance(job, TeacherJob):
-        verdicts, asked, found = None, None, teachers.load(folder, load_map(job.map)).settings
-    else:
-        card = read_card(path)
-        check_fits(card, load_map(job.map))
-        verdicts, asked, found = card.verdicts, str(job.verdicts), card.story["settings"]
-    # Through JSON, as those in the file were.
-    if (verdicts, found) != (asked, json.loads(json.dumps(asdict(job.settings)))):
+    try:
+        found = _made_with(job, folder)
+    except SetupError as error:
+        raise SetupError(f"{error} It is not overwritten: move it, or choose another folder with --out.") from error
+    asked: dict[str, Any] = {"settings": json.loads(json.dumps(asdict(job.settings)))}  # as those in the file were
+    if isinstance(job, PolicyJob):
+        asked |= {"verdicts": str(job.verdicts), "missing": job.verdicts.missing, "recipe": job.recipe}
+    if found != asked:
+        differing = ", ".join(key for key in asked if found[key] != asked[key])
         raise SetupError(
-            f"There is a file {path} already, trained with other settings, and it is not overwritten. Choose another "
-            "folder with --out, or move it."
+            f"There is a file {path} already, trained with other {differing}, and it is not overwritten. Choose "
+            "another folder with --out, or move it."
         )
     return True
 
 
-def _sweep(jobs: Sequence[Job], folder: Path, backend: Backend, progress: Progress, what: str) -> None:
-    """Run the jobs whose files aren't there, and write each as soon as it is done."""
+def _made_with(job: Job, folder: Path) -> dict[str, Any]:
+    """What the job's file, read whole, says it was trained with. SetupError when it is damaged or another map's."""
+    if isinstance(job, TeacherJob):
+        return {"settings": teachers.load(folder, job.world).settings}
+    _, card = load(_path(job, folder))
+    check_fits(card, job.world)
+    # A card that doesn't say is of a policy that met as many as our recipe has.
+    missing = card.story.get("missing", 0.0 if job.verdicts in (TOLD, WITHOUT) else MISSING)
+    settings = card.story.get("settings")
+    return {"settings": settings, "verdicts": card.verdicts, "missing": missing, "recipe": card.recipe}
+
+
+def _sweep(jobs: Sequence[Job], folder: Path, pool: Pool, progress: Progress, what: str) -> None:
+    """Run the jobs whose files aren't there, and write each as soon as it is done; then raise what stopped some."""
     missing = [job for job in jobs if not _is_there(job, folder)]
     if not missing:
         return
     missing.sort(key=lambda job: -job.cost)  # the longest first, so that none is left alone at the end
-    with tempfile.TemporaryDirectory() as notes, _Watch(missing, Path(notes), progress, what) as watch:
-        # A cluster's workers can't reach this folder: there only finished jobs count.
-        target = Path(notes) if backend.name == "local" else None
-        work = (joblib.delayed(_run)(number, job, target) for number, job in enumerate(missing))
-        parallel = joblib.Parallel(n_jobs=backend.n_workers, batch_size=1, return_as="generator_unordered")
-        for number, contents in parallel(work):
-            write(_path(missing[number], folder), contents)
-            watch.finished(number)
+    failed: dict[str, Exception] = {}
+    # A worker that outlives an interruption may hold a note open; Windows then can't remove it.
+    notes = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+    with notes as notes_folder, Watch(missing, Path(notes_folder), progress, what) as watch:
+        for number, made in pool(missing, Path(notes_folder)):
+            job = missing[number]
+            if isinstance(made, Exception):
+                failed[job.name] = made
+                continue
+            try:
+                _keep(_path(job, folder), made)
+            except (SetupError, OSError) as error:
+                failed[job.name] = error
+            else:
+                watch.finished(number)
+    if failed:
+        raise _summary(failed, len(missing), what, folder)
 
 
-def _run(number: int, job: Job, notes: Path | None) -> tuple[int, bytes]:
-    """In a worker: do a job, and keep a note of how far it is where the one who waits can read it."""
-
-    def note(done: int, of: int, _word: str) -> None:
-        if notes is not None:
-            write(notes / str(number), f"{done} {of}".encode())
-
-    with _ALONE:
-        return number, job.run(note)
-
-
-class _Watch:
-    """Reports how far all jobs are, weighed by the moves they play, until it is left."""
-
-    def __init__(self, jobs: Sequence[Job], notes: Path, progress: Progress, what: str) -> None:
-        self._jobs, self._notes, self._progress, self._what = jobs, notes, progress, what
-        self._shares = [0.0] * len(jobs)
-        self._left = threading.Event()
-        self._thread = threading.Thread(target=self._look, daemon=True)
-
-    def __enter__(self) -> Self:
-        self._report()
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._left.set()
-        self._thread.join()
-
-    def finished(self, number: int) -> None:
-        self._shares[number] = 1.0
-
-    def _look(self) -> None:
-        while not self._left.wait(POLL_S):
-            for number in range(len(self._jobs)):
-                self._shares[number] = max(self._shares[number], self._noted(number))
-            self._report()
-
-    def _noted(self, number: int) -> float:
-        note = self._notes / str(number)
-        if not note.exists():
-            return 0.0
-        done, of = note.read_text().split()
-        return int(done) / int(of)
-
-    def _report(self) -> None:
-        done = sum(share * job.cost for share, job in zip(self._shares, self._jobs, strict=True))
-        n_done = sum(share == 1 for share in self._shares)
-        word = f"{self._what}, {n_done} of {len(self._jobs)} ready, 1000 moves"
-        self._progress(word, round(done / 1000), round(sum(job.cost for job in self._jobs) / 1000))
-
-
-@contextmanager
-def _pool(backend: Backend) -> Iterator[None]:
-    """Where joblib sends its work meanwhile. Raises SetupError when the cluster doesn't answer."""
-    if backend.name == "local":
-        with joblib.parallel_config(backend="loky"):
-            yield
-        return
-    if backend.scheduler is None:
-        raise SetupError("--backend dask needs --scheduler ADDRESS, as in tcp://192.168.1.10:8786.")
+def _keep(path: Path, contents: bytes) -> None:
+    """Write what a job made; where that can't be, elsewhere, and raise SetupError."""
     try:
-        from dask.distributed import Client
-    except ImportError as error:
-        raise SetupError("--backend dask needs the package dask: pip install 'errp-bci[cluster]'.") from error
-    try:
-        client = Client(backend.scheduler, timeout=CONNECT_TIMEOUT_S)
-    except (OSError, ValueError) as error:
+        write_new(path, contents)
+    except OSError as error:
+        handle, elsewhere = tempfile.mkstemp(prefix=f"{path.stem}_", suffix=path.suffix)
+        with open(handle, "wb") as file:
+            file.write(contents)
         raise SetupError(
-            f"No Dask scheduler answers at {backend.scheduler} within {CONNECT_TIMEOUT_S:g} s ({error}). Start one "
-            "with `dask scheduler` and workers with `dask worker ADDRESS --nworkers=-1 --nthreads=1`, or leave out "
-            "--backend."
+            f"{path} can't be written ({error}), so it was kept as {elsewhere}. Move it to where it belongs; the same "
+            "command goes on from there."
         ) from error
-    with client, joblib.parallel_config(backend="dask", wait_for_workers_timeout=CONNECT_TIMEOUT_S):
+
+
+def write_new(path: Path, contents: bytes) -> None:
+    """Write a file whole or not at all; FileExistsError when there is one by now, other OSErrors when it can't be."""
+    partial = path.with_name(f"{path.name}.{uuid4().hex}.partial")
+    try:
+        partial.write_bytes(contents)
         try:
-            yield
-        except TimeoutError as error:
-            raise SetupError(
-                f"The Dask scheduler at {backend.scheduler} has no worker after {CONNECT_TIMEOUT_S:g} s. Start some "
-                f"with `dask worker {backend.scheduler} --nworkers=-1 --nthreads=1`."
-            ) from error
+            os.link(partial, path)
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without links: take the name first, then replace our own empty file
+            path.open("xb").close()
+            partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _summary(failed: dict[str, Exception], n: int, what: str, folder: Path) -> Exception:
+    """One error for all: the first that is none of the set-up's, with the others as a note, or else a SetupError."""
+    names: dict[str, list[str]] = {}
+    for name, error in failed.items():
+        names.setdefault(str(error), []).append(name)
+    reasons = "; ".join(f"{', '.join(which)}: {reason.rstrip('.')}" for reason, which in names.items())
+    text = f"{len(failed)} of {n} {what} failed; what else was trained is in {folder}. {reasons}."
+    for error in failed.values():
+        if not isinstance(error, SetupError):
+            error.add_note(text)
+            return error
+    return SetupError(text)

@@ -1,6 +1,6 @@
 """Training one policy from start to finish: a job in, the contents of a policy file out.
 
-A job runs in any process, on any machine, and knows no folder.
+A job runs in any process, on any machine: it carries its map and what it starts from, and knows no folder.
 """
 
 from collections.abc import Callable
@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import nn
 
-from bci_app.gridworld import load_map
+from bci_app.errors import SetupError
+from bci_app.gridworld import GridWorld
 from policy import teachers
 from policy.actor_critic import ActorCriticSettings, train_actor_critic
 from policy.checkpoint import PolicyCard, Recipe, pack, policy_name, rounded, unpack
@@ -20,16 +22,17 @@ from policy.evaluation import NetworkPlayer, evaluate
 from policy.network import Actor, Network, PaperNetwork, ToldNetwork
 from policy.observation import STEP_LIMIT
 from policy.planner import PlannerSettings
-from policy.processor import keep_memory
+from policy.processor import arithmetic, device, keep_memory
 from policy.recitation import RecitationSettings, recite
 from policy.simulator import Distribution
 from policy.verdicts import Verdicts
 
 MISSING = 0.03
-"""Share of missing verdicts in training, as artefacts cause; the policy that is told all kinds meets up to 0.3."""
+"""Share of missing verdicts in training by our recipe, as artefacts cause; the told policy meets up to 0.3."""
 CURVE_POINTS = 100
 """Of a learning curve: moves played, and mean steps of an episode meanwhile."""
 TESTED: tuple[Distribution, ...] = ("pairs", "distances")
+"""Starts and goals its card's figures are of."""
 TEST_EPISODES = 5000
 """Episodes its card's figures are of."""
 
@@ -39,15 +42,21 @@ Progress = Callable[[int, int, str], None]
 
 @dataclass(frozen=True)
 class TeacherJob:
-    """Train the teacher of one map."""
+    """Train the teacher of one map.
 
-    map: str
+    Attributes
+    ----------
+    world : the map itself, for on another machine its file may be missing, or be another.
+    settings : of the planner.
+    """
+
+    world: GridWorld = field(repr=False)
     settings: PlannerSettings = field(default_factory=PlannerSettings)
 
     @property
     def name(self) -> str:
         """For people."""
-        return f"{load_map(self.map).name} teacher"
+        return f"{self.world.name} teacher"
 
     @property
     def cost(self) -> float:
@@ -55,13 +64,17 @@ class TeacherJob:
         return float(self.settings.updates * self.settings.n_steps * self.settings.n_episodes)
 
     def run(self, progress: Progress = lambda done, of, word: None) -> bytes:
-        """The contents of a teacher file."""
+        """The contents of a teacher file. Raises SetupError when the training diverges."""
         _settle()
 
         def show(update: int, figures: dict[str, float]) -> None:
             progress(update, self.settings.updates, f"{figures['steps']:.1f} steps an episode")
 
-        return teachers.make(load_map(self.map), self.settings, show)
+        contents = teachers.make(self.world, self.settings, show)
+        _check_finite(
+            teachers.read(contents, self.world, self.name).planner, self.name, "With --quick it needs no training."
+        )
+        return contents
 
 
 @dataclass(frozen=True)
@@ -70,7 +83,7 @@ class PolicyJob:
 
     Attributes
     ----------
-    map : a shipped map or the path of a map file.
+    world : the map itself, for on another machine its file may be missing, or be another.
     verdicts : what to train with.
     settings : of the recipe, which they thereby choose: recitation of the search, distillation, or the paper's.
     teacher : contents of the map's teacher file; our recipe needs it.
@@ -78,7 +91,7 @@ class PolicyJob:
     start : contents of a told policy to go on from.
     """
 
-    map: str
+    world: GridWorld = field(repr=False)
     verdicts: Verdicts
     settings: RecitationSettings | DistillationSettings | ActorCriticSettings
     teacher: bytes | None = field(default=None, repr=False)
@@ -93,7 +106,7 @@ class PolicyJob:
     @property
     def name(self) -> str:
         """Name of its file without the ending."""
-        return policy_name(load_map(self.map).name, self.verdicts, self.recipe)
+        return policy_name(self.world.name, self.verdicts, self.recipe)
 
     @property
     def cost(self) -> float:
@@ -104,11 +117,11 @@ class PolicyJob:
     def _moves(self) -> int:
         """Moves of an update."""
         if isinstance(self.settings, RecitationSettings):
-            return load_map(self.map).n_cells * STEP_LIMIT  # about what the longest path has
+            return self.world.n_cells * STEP_LIMIT  # about what the longest path has
         return self.settings.n_steps * self.settings.n_episodes
 
     def run(self, progress: Progress = lambda done, of, word: None) -> bytes:
-        """The contents of a policy file."""
+        """The contents of a policy file. Raises SetupError when the training diverges."""
         _settle()
         started, settings = perf_counter(), self.settings
         curve: list[tuple[int, float]] = []
@@ -122,10 +135,12 @@ class PolicyJob:
             progress(update, settings.updates, ", ".join(f"{name} {value:.2f}" for name, value in figures.items()))
 
         network = rounded(self._train(show))
+        # Before it is tested: an episode it can't finish would last for ever.
+        _check_finite(network, self.name, "Train it with another --seed.")
         return pack(network, self._card(network, curve, perf_counter() - started))
 
     def _train(self, show: Callable[[int, dict[str, float]], None]) -> Actor:
-        world, settings = load_map(self.map), self.settings
+        world, settings = self.world, self.settings
         if isinstance(settings, ActorCriticSettings):
             torch.manual_seed(settings.seed)
             return train_actor_critic(PaperNetwork(world.n_cells), world, self.verdicts, settings, show)
@@ -151,20 +166,21 @@ class PolicyJob:
         return told.listening
 
     def _card(self, network: Actor, curve: list[tuple[int, float]], seconds: float) -> PolicyCard:
-        world = load_map(self.map)
+        world = self.world
         player = NetworkPlayer(network, world)
         tested = Verdicts("score", (0.75,)) if self.verdicts.kind == "told" else self.verdicts
-        results = {
-            name: asdict(evaluate(player, world, tested, name, TEST_EPISODES, seed=1))
-            for name in ("pairs", "distances")
-        }
+        results = {name: asdict(evaluate(player, world, tested, name, TEST_EPISODES, seed=1)) for name in TESTED}
         story: dict[str, Any] = {
             "settings": asdict(self.settings),
+            "missing": self.verdicts.missing,
             "start": unpack(self.start, "start")[1].name if self.start else None,
             "minutes": round(seconds / 60, 2),
             "curve": [[moves, round(steps, 2)] for moves, steps in curve if np.isfinite(steps)],
             "versions": {"torch": str(torch.__version__), "numpy": np.__version__},
-            "evaluated_with": str(tested),
+            # The same seed gives other weights on another device or in another arithmetic.
+            "device": device().type,
+            "arithmetic": "float32" if self.recipe == "paper" else arithmetic(),
+            "evaluated_with": f"{tested}, {tested.missing:g} of them missing",
             "evaluation": results,
         }
         return PolicyCard(
@@ -176,6 +192,14 @@ class PolicyJob:
             world.n_cells,
             network.n_hidden,
             story,
+        )
+
+
+def _check_finite(module: nn.Module, name: str, advice: str) -> None:
+    """Raise SetupError unless all weights are numbers one can compute with."""
+    if not all(tensor.isfinite().all() for tensor in module.state_dict().values()):
+        raise SetupError(
+            f"The training of {name} diverged: some of its weights are no finite numbers, so it isn't kept. {advice}"
         )
 
 

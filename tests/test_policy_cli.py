@@ -114,8 +114,10 @@ def test_a_file_that_is_no_policy_and_a_map_that_is_none_are_refused(folder):
         (("--verdicts", "binary:0.4"), "above 0.5"),
         (("--verdicts", "none", "--library"), "--library trains all verdicts"),
         (("--backend", "dask"), "needs --scheduler ADDRESS"),
-        (("--quick", "--recipe", "paper"), "--quick shortens our recipe"),
+        (("--quick", "--recipe", "paper", "--library"), "--quick shortens our recipe"),
         (("--updates", 0), "--updates"),
+        (("--recipe", "paper"), "--recipe paper trains for one kind of verdicts each"),
+        (("--recipe", "paper", "--verdicts", "told"), "The paper's network hears a verdict's word"),
         (("--workers", 0), "--workers must be 1 or more"),
         (("--map", "nowhere.txt"), "No map 'nowhere.txt'"),
     ],
@@ -138,7 +140,7 @@ def test_a_policy_is_trained_and_then_evaluated(folder):
 
 def test_quick_training_makes_the_told_policy_and_goes_nowhere_near_a_full_one(folder):
     words = ("--map", folder / "square.txt", "--workers", 1, "--out", folder / "quick")
-    done = run("train", *words, "--quick", "--updates", 2, "--json")
+    done = run("train", *words, "--quick", "--updates", 12, "--json")
     assert done.exit_code == 0, done.stderr
     assert json.loads(done.stdout) == {"policies": [str(folder / "quick" / "square_told.safetensors")]}
     assert figures(*words[:2], "--verdicts", "score:0.8", "--policies", folder / "quick", "--episodes", 50)
@@ -167,7 +169,7 @@ def test_a_participants_own_decoder_tells_what_to_expect(folder):
 def test_a_decoder_that_cant_be_used_so_is_refused(folder):
     path = decoder_file(folder, 0.4)
     words = ("evaluate", "--map", "obstacles", "--policies", folder, "--policy")
-    assert "can't take a decoder's own scores" in refused(*words, "075", "--decoder", path)
+    assert "nor take a decoder's own scores" in refused(*words, "075", "--decoder", path)
     assert "either --verdicts" in refused(*words, "bayes", "--decoder", path, "--verdicts", "none")
     assert "either --verdicts" in refused(*words, "bayes")
     assert "for simulated --verdicts" in refused(*words, "bayes", "--decoder", path, "--missing", 0.2)

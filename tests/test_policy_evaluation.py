@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from bci_app.gridworld import compile_map, load_map
 from policy.baselines import BayesPlayer, OraclePlayer
-from policy.evaluation import UNLIMITED, Played, evaluate, play, play_many, report, summarise, wilson
+from policy.evaluation import UNLIMITED, Played, evaluate, paired_ratio, play, play_many, report, summarise, wilson
 from policy.observation import STEP_LIMIT
 from policy.simulator import Simulator, pair_weights
 from policy.verdicts import Decoders, Verdicts
@@ -93,6 +93,27 @@ def test_a_report_keeps_the_contract():
     assert figures["experiment"]["mean_steps"] == pytest.approx(np.arange(2, 7).mean(), abs=0.15)
     assert (figures["success_60"], figures["success_60_by_distance_mean"]) == (1, 1)
     assert set(figures["success_60_by_distance"]) == {2, 3, 4, 5, 6}
+
+
+def test_a_ratio_of_steps_in_proportion_is_certain_and_one_of_other_episodes_is_refused():
+    distance, steps = np.array([2, 3, 4, 5]), np.array([4, 10, 20, 60])
+    assert paired_ratio(Played(distance, 3 * steps), Played(distance, steps)) == pytest.approx((3, 3, 3))
+    with pytest.raises(ValueError, match="same episodes"):
+        paired_ratio(Played(distance, steps), Played(distance[::-1], steps))
+
+
+def test_the_interval_of_a_paired_ratio_covers_the_truth_19_times_in_20():
+    """Two players whose steps share what the episode costs; the true ratio is 0.9. The unpaired one is far wider."""
+    rng = np.random.default_rng(0)
+    covered, width = [], []
+    for _ in range(1000):
+        hard = rng.exponential(20, 400)
+        one, other = 0.9 * (hard + rng.exponential(4, 400)), hard + rng.exponential(4, 400)
+        _, low, high = paired_ratio(Played(np.zeros(400, int), one), Played(np.zeros(400, int), other))
+        covered.append(low <= 0.9 <= high)
+        width.append(high - low)
+    assert 0.93 < np.mean(covered) < 0.97
+    assert np.mean(width) < 0.06  # 0.21 if the episodes weren't the same
 
 
 @given(st.lists(st.tuples(st.integers(2, 20), st.integers(1, UNLIMITED)), min_size=1, max_size=40))

@@ -1,0 +1,141 @@
+"""Where jobs run, on this machine's cores through joblib or on a Dask cluster, and how far they are."""
+
+import threading
+import traceback
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Self
+
+import joblib
+import torch
+
+from bci_app.progress import Progress
+from policy import cluster, training
+from policy.processor import device
+from policy.training import PolicyJob, TeacherJob
+
+Job = TeacherJob | PolicyJob
+Pool = Callable[[Sequence[Job], Path], Iterator[tuple[int, bytes | Exception]]]
+"""Does jobs, with a folder for notes on how far they are: each job's number and what it made, or why it couldn't."""
+
+POLL_S = 0.5
+"""Real seconds between two looks at how far the workers are."""
+_ALONE = threading.Lock()
+"""Held by a job that runs: a process has one generator of weights and one cache of rounded weights, and a Dask worker
+may have several threads. With two jobs at a time the same seed wouldn't give the same weights."""
+
+
+@dataclass(frozen=True)
+class Backend:
+    """Where jobs run: ``local`` on ``n_workers`` processes, or ``dask`` at a scheduler's address."""
+
+    name: Literal["local", "dask"] = "local"
+    n_workers: int = -1
+    scheduler: str | None = None
+
+    @property
+    def n_processes(self) -> int:
+        """Local processes as joblib counts them: -1 is one a core, but one a GPU where there are some."""
+        if self.n_workers == -1 and device().type == "cuda":
+            return torch.cuda.device_count()
+        return self.n_workers
+
+
+@contextmanager
+def pool_of(backend: Backend) -> Iterator[Pool]:
+    """Where jobs run meanwhile. Raises SetupError as `cluster.connected` does."""
+    if backend.name == "dask":
+        with cluster.connected(backend.scheduler) as client:
+            # A cluster's workers can't reach the notes: there only finished jobs count.
+            yield lambda jobs, _notes: cluster.results(client, attempt, jobs)
+        return
+
+    def locally(jobs: Sequence[Job], notes: Path) -> Iterator[tuple[int, bytes | Exception]]:
+        parallel = joblib.Parallel(n_jobs=backend.n_processes, batch_size=1, return_as="generator_unordered")
+        results: Iterator[tuple[int, bytes | Exception]] = parallel(
+            joblib.delayed(_attempt_here)(number, job, notes) for number, job in enumerate(jobs)
+        )
+        return results
+
+    with joblib.parallel_config(backend="loky"), warnings.catch_warnings():
+        # Workers keep their memory on purpose, which joblib takes for a leak and mends by starting a fresh one.
+        warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
+        yield locally
+
+
+def attempt(job: Job, progress: training.Progress = lambda done, of, word: None) -> bytes | Exception:
+    """In a worker: what a job makes, or what stopped it, for an error that is raised there would stop the others."""
+    with _ALONE:
+        try:
+            return job.run(progress)
+        except Exception as error:  # noqa: BLE001 -- raised by the one who waits
+            error.add_note(f"In the worker that trained {job.name}:\n{traceback.format_exc()}")
+            return error
+
+
+def _attempt_here(number: int, job: Job, notes: Path) -> tuple[int, bytes | Exception]:
+    """In a worker of this machine: the same, with a note of how far it is where the one who waits can read it."""
+    if device().type == "cuda":
+        torch.cuda.set_device(number % torch.cuda.device_count())
+    partial = notes / f"{number}.partial"
+
+    def note(done: int, of: int, _word: str) -> None:
+        # Windows replaces no file that is being read, and the folder goes when the one who waits is interrupted. The
+        # next note will do: nothing that is only shown may stop a training.
+        with suppress(OSError):
+            partial.write_text(f"{done} {of}")
+            partial.replace(notes / str(number))
+
+    return number, attempt(job, note)
+
+
+class Watch:
+    """Reports how far all jobs are, weighed by the moves they play, until it is left."""
+
+    def __init__(self, jobs: Sequence[Job], notes: Path, progress: Progress, what: str) -> None:
+        self._jobs, self._notes, self._progress, self._what = jobs, notes, progress, what
+        self._shares = [0.0] * len(jobs)
+        self._changing = threading.Lock()
+        self._left = threading.Event()
+        self._thread = threading.Thread(target=self._look, daemon=True)
+
+    def __enter__(self) -> Self:
+        self._report()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._left.set()
+        self._thread.join()
+        self._report()
+
+    def finished(self, number: int) -> None:
+        """A job's file is written."""
+        self._goes_on(number, 1.0)
+
+    def _goes_on(self, number: int, share: float) -> None:
+        """Never back: a note may be read while its job is finished."""
+        with self._changing:
+            self._shares[number] = max(self._shares[number], share)
+
+    def _look(self) -> None:
+        while not self._left.wait(POLL_S):
+            for number in range(len(self._jobs)):
+                self._goes_on(number, self._noted(number))
+            self._report()
+
+    def _noted(self, number: int) -> float:
+        try:
+            done, of = (self._notes / str(number)).read_text().split()
+        except OSError:  # none yet, or Windows is just replacing it: the next look will do
+            return 0.0
+        return min(int(done) / int(of), 0.99)  # it is tested and written yet
+
+    def _report(self) -> None:
+        done = sum(share * job.cost for share, job in zip(self._shares, self._jobs, strict=True))
+        n_done = sum(share == 1 for share in self._shares)
+        word = f"{self._what}, {n_done} of {len(self._jobs)} ready, 1000 moves"
+        self._progress(word, round(done / 1000), round(sum(job.cost for job in self._jobs) / 1000))
