@@ -91,7 +91,7 @@ def evaluate(
         str | None,
         typer.Option(
             "--policy",
-            help="A policy's name or file, bayes, planner, sweep or oracle; default: as `online`.",
+            help="A policy's name or file, bayes, replan, planner, sweep or oracle; default: as `online`.",
         ),
     ] = None,
     episodes: EpisodesOption = 20_000,

@@ -11,6 +11,7 @@ from policy.belief import Belief, Nearness
 from policy.coverage import searching
 from policy.observation import View
 from policy.planner import Planner
+from policy.replanning import Replanning
 from policy.simulator import Bools, Floats, Ints, Simulator
 
 NEARNESS, NEARNESS_WITHOUT_VERDICTS = 0.6, 0.3
@@ -63,6 +64,19 @@ class BayesPlayer(BeliefPlayer):
         """The action of most worth; of equally good ones one is drawn."""
         worth = self._nearness.worth(self.believe(view))[:, 0]
         actions: Ints = np.argmax(worth * (1 + 1e-6 * self._rng.random(worth.shape)), axis=1)
+        return actions
+
+
+class ReplanningPlayer(BeliefPlayer):
+    """The action of the fewest expected moves, were nothing more to be learnt on the way."""
+
+    def __init__(self, world: GridWorld, weights: Floats, paths: Ints) -> None:
+        super().__init__(world, weights)
+        self._replanning = Replanning(world, paths)
+
+    def act(self, view: View) -> Ints:
+        """The first of the cheapest actions."""
+        actions: Ints = self._replanning.cost(self.believe(view)).argmin(axis=1)
         return actions
 
 

@@ -70,8 +70,8 @@ def _turned_actions(down: bool, right: bool, transposed: bool) -> Ints:
 
 def _path(world: GridWorld, start: int, weight: NDArray[np.float64], beam: int) -> list[int]:
     """The best path found from one start; ``weight``, (n_cells,), is the probability of each goal."""
-    sensed_from = _sensed_from(world)
-    hidden = np.array([(weight > 0) & ~sensed_from[start]])
+    senses = sensed_from(world)
+    hidden = np.array([(weight > 0) & ~senses[start]])
     if not hidden.any():
         return []  # no goal begins further away than what is sensed from here
     weight = weight / weight.sum()
@@ -81,7 +81,7 @@ def _path(world: GridWorld, start: int, weight: NDArray[np.float64], beam: int) 
     while len(cell):
         path, action = np.nonzero(world.legal[cell])
         reached = world.next_cell[cell[path], action]
-        left = hidden[path] & ~sensed_from[reached]
+        left = hidden[path] & ~senses[reached]
         # Each step costs one for every goal that was still hidden before it.
         cost = steps[path] + hidden[path] @ weight
         # What is left is met evenly over the steps it takes.
@@ -99,7 +99,7 @@ def _path(world: GridWorld, start: int, weight: NDArray[np.float64], beam: int) 
     return best
 
 
-def _sensed_from(world: GridWorld) -> NDArray[np.bool_]:
+def sensed_from(world: GridWorld) -> NDArray[np.bool_]:
     """Cells an agent senses from each cell, (n_cells, n_cells): its own and those a move away."""
     sensed = np.eye(world.n_cells, dtype=bool)
     sensed[np.arange(world.n_cells)[:, None], world.next_cell] = True

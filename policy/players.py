@@ -6,12 +6,12 @@ from pathlib import Path
 from bci_app.errors import SetupError
 from bci_app.gridworld import GridWorld
 from policy import checkpoint, teachers
-from policy.baselines import BayesPlayer, OraclePlayer, PlannerPlayer, SearchPlayer
+from policy.baselines import BayesPlayer, OraclePlayer, PlannerPlayer, ReplanningPlayer, SearchPlayer
 from policy.evaluation import NetworkPlayer, Player
 from policy.simulator import pair_weights
 from policy.verdicts import HeldOut, Verdicts
 
-BASELINES = ("bayes", "planner", "sweep", "oracle")
+BASELINES = ("bayes", "replan", "planner", "sweep", "oracle")
 
 
 def player_of(name: str, world: GridWorld, draw: Verdicts | HeldOut, folder: Path) -> tuple[Player, Verdicts | HeldOut]:
@@ -63,6 +63,8 @@ def _baseline(name: str, world: GridWorld, folder: Path) -> Player:
             return BayesPlayer(world, pair_weights(world, "pairs"))
         case "sweep":
             return SearchPlayer(teachers.load(folder, world).paths)
+        case "replan":
+            return ReplanningPlayer(world, pair_weights(world, "pairs"), teachers.load(folder, world).paths)
         case "planner":
             return PlannerPlayer(teachers.load(folder, world).planner, pair_weights(world, "mixture"))
         case _:
