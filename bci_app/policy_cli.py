@@ -47,7 +47,7 @@ def train(
     updates: Annotated[int | None, typer.Option("--updates", min=1, help="Default: the recipe's.")] = None,
     seed: SeedOption = 0,
     backend: Annotated[str, typer.Option("--backend", help="local processes, or a dask cluster.")] = "local",
-    workers: Annotated[int, typer.Option("--workers", help="Local processes; -1 for one a core.")] = -1,
+    workers: Annotated[int, typer.Option("--workers", help="Local processes; -1 for one a core, or a GPU.")] = -1,
     scheduler: Annotated[str | None, typer.Option("--scheduler", help="Address of the Dask scheduler.")] = None,
     as_json: JsonOption = False,
 ) -> None:
