@@ -57,13 +57,13 @@ class Variant:
 
 VARIANTS = (
     Variant("our recipe"),
-    Variant("the teacher is the greedy move on the belief, not the planner", greedy_teacher=True),
+    Variant("the teacher is where the planner began: the greedy moves on the belief", greedy_teacher=True),
     Variant("no auxiliary head that learns the belief", {"goal_weight": 0.0}),
     Variant("auxiliary head with weight 0.3", {"goal_weight": 0.3}),
     Variant("the teacher's probabilities as they are, not sharpened", {"sharpening": 1.0}),
     Variant("the teacher is asked at every step", {"taught_every": 1}),
     Variant("the teacher never leads", {"guided": 0.0}),
-    Variant("the teacher always leads", {"guided": 1e9}),
+    Variant("the teacher leads half of the episodes to the end", {"guided": 1e9}),
     Variant("back-propagation through 10 steps", {"n_steps": 10, "n_episodes": 2048}),
     Variant("back-propagation through 40 steps", {"n_steps": 40, "n_episodes": 512}),
     Variant("evidence by one row a move", network=one_row),
@@ -76,7 +76,7 @@ def imitated(variant: Variant, name: str, verdicts: Verdicts, updates: int, seed
     torch.set_num_threads(1)
     world = load_map(name)
     lesson = teachers.load(PRETRAINED, world)
-    planner = Planner(world) if variant.greedy_teacher else lesson.planner
+    planner = Planner(world, lesson.paths) if variant.greedy_teacher else lesson.planner
     settings = replace(DistillationSettings(updates=updates, seed=seed), **variant.changes)  # type: ignore[arg-type]
     torch.manual_seed(seed)
     network = distil(world, planner, verdicts, settings, network=variant.network(world) if variant.network else None)

@@ -16,9 +16,11 @@ import numpy as np
 import torch
 
 from bci_app.gridworld import load_map
+from policy import teachers
+from policy.checkpoint import PRETRAINED
 from policy.distillation import DistillationSettings, distil
 from policy.network import HEAD, HIDDEN, N_MARKS, WIDTH
-from policy.planner import Planner, PlannerSettings, train_planner
+from policy.planner import PlannerSettings, train_planner
 from policy.processor import has_bfloat16, keep_memory
 from policy.simulator import Pairs, Simulator, pair_weights
 from policy.verdicts import Verdicts, anybody
@@ -29,8 +31,8 @@ _INWARD, _OUTWARD = HIDDEN + 121 + N_MARKS, 4 + 121 / TAUGHT_EVERY
 STUDENT_FLOP = 2 * (3 * HIDDEN * HIDDEN + _INWARD * WIDTH + WIDTH * HEAD + HEAD * _OUTWARD)
 """Of one step forward: the matrix products of `policy.network.Network`; backward costs twice as much."""
 PLANNER_WIDTH = 128
-PLANNER_FLOP = 2 * PLANNER_WIDTH * (257 + PLANNER_WIDTH + 4)
-CRITIC_FLOP = 2 * PLANNER_WIDTH * (257 + 121 + PLANNER_WIDTH + 1)
+PLANNER_FLOP = 2 * PLANNER_WIDTH * (261 + PLANNER_WIDTH + 4)
+CRITIC_FLOP = 2 * PLANNER_WIDTH * (261 + 121 + PLANNER_WIDTH + 1)
 
 
 def timed(rounds: Callable[[], int], seconds: float) -> float:
@@ -77,6 +79,7 @@ def training(seconds: float, which: str) -> float:
     torch.set_num_threads(1)
     keep_memory()
     world = load_map(MAP)
+    lesson = teachers.load(PRETRAINED, world)
     full: PlannerSettings | DistillationSettings = PlannerSettings() if which == "planner" else DistillationSettings()
     moves = full.n_steps * full.n_episodes
     first_guess = 60_000  # moves a second
@@ -85,9 +88,9 @@ def training(seconds: float, which: str) -> float:
         settings = replace(settings, critic_updates=0)
     started = time.perf_counter()
     if isinstance(settings, PlannerSettings):
-        train_planner(world, settings, anybody)
+        train_planner(world, lesson.paths, settings)
     else:
-        distil(world, Planner(world), anybody, settings)
+        distil(world, lesson.planner, anybody, settings)
     return settings.updates * moves / (time.perf_counter() - started)
 
 

@@ -38,7 +38,7 @@ class DistillationSettings:
     """At one in so many steps of an episode the teacher is asked what it would do; from step to step little changes."""
     updates: int = 2200
     guided: float = 0.3
-    """Share of the updates over which the teacher leads, in fewer and fewer of the episodes."""
+    """Share of the updates over which the teacher leads, in half of the episodes at first and in fewer and fewer."""
     learning_rate: float = 4e-3
     """Adam's, falling linearly to a four-hundredth."""
     goal_weight: float = 1.0
@@ -48,7 +48,7 @@ class DistillationSettings:
     max_gradient: float = 1.0
     """Norm at which the gradient is clipped."""
     distribution: Distribution = "mixture"
-    """Starts and goals: half like random episodes, half like the experiment's, so that far goals are learnt."""
+    """Starts and goals: mostly as in random episodes, but also as in the experiment, so that far goals are learnt."""
 
 
 def distil(
@@ -71,7 +71,7 @@ def distil(
     for update in range(settings.updates):
         done = update / settings.updates
         descent.slow_down(1 - done)
-        led = round(settings.n_episodes * max(0.0, 1 - done / settings.guided)) if settings.guided else 0
+        led = round(settings.n_episodes / 2 * max(0.0, 1 - done / settings.guided)) if settings.guided else 0
         segment = _Segment(network, planner, episodes, settings)
         hidden = segment.play(hidden.detach(), led)
         loss, figures = segment.loss()

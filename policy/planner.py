@@ -1,4 +1,4 @@
-"""A planner that beats the greedy move: a feed-forward policy on the exact belief, found by reinforcement.
+"""A planner that beats the greedy moves: a feed-forward policy on the exact belief, found by reinforcement.
 
 The belief is all that can be known, so this planner needs no memory and is quickly trained. It is the teacher of the
 recurrent policies, which must make do with what they remember of their sensors.
@@ -18,38 +18,45 @@ from policy.descent import Descent, Progress, unheard
 from policy.episodes import Episodes, drawn
 from policy.observation import STEP_LIMIT
 from policy.processor import device, mixed_precision, moved
-from policy.simulator import Bools, Distribution, Outcome, pair_weights
-from policy.verdicts import Draw, Floats, anybody
+from policy.replanning import Replanning
+from policy.simulator import Bools, Distribution, Ints, Outcome, pair_weights
+from policy.verdicts import Floats, telling
 
 DISCOUNTS = (0.3, 0.6, 0.8)
 """Of the nearness of the goal: for search without verdicts, for accuracies about 0.7, and for high ones (of 0.3, 0.5,
 0.6, 0.7 and 0.8 the best at each; both maps, 20,000 episodes)."""
-GREEDY = 1  # the discount whose greedy move the planner starts from
+GREEDY = 1  # the discount whose greedy move the planner starts from where verdicts say much
 SHARPNESS = 30.0  # of that move's probability: a worth 10 % lower is e^3 times rarer
+REPLANS, LISTENS = 0.045, 0.1
+"""Bits a verdict up to which the planner makes the move of the fewest expected steps, were nothing more to be learnt,
+and from which on its own."""
+EAGERNESS = 3.0  # of that move's probability: one step more is e^3 times rarer
 
 
 class Situation(NamedTuple):
-    """What the planner sees: features (n, n_features), the greedy move's logits (n, 4) and legal actions (n, 4)."""
+    """What the planner sees: features (n, n_features), the logits it starts from (n, 4) and legal actions (n, 4)."""
 
     features: Tensor
-    greedy: Tensor
+    start: Tensor
+    listens: Tensor
     legal: Tensor
 
 
 class Planner(nn.Module):
-    """Corrects the greedy move on the belief.
+    """Corrects the greedy moves on the belief.
 
     Parameters
     ----------
     world : the map.
+    paths : (n_cells, n_steps), the search from each cell, as ``coverage.search_paths`` gives it.
     width : units of its two layers.
     """
 
-    def __init__(self, world: GridWorld, width: int = 128) -> None:
+    def __init__(self, world: GridWorld, paths: Ints, width: int = 128) -> None:
         super().__init__()
         self.world = world
-        self.nearness = Nearness(world, DISCOUNTS)
-        n_features = 2 * world.n_cells + len(DISCOUNTS) * N_ACTIONS + 3
+        self.nearness, self.replanning = Nearness(world, DISCOUNTS), Replanning(world, paths)
+        n_features = 2 * world.n_cells + (len(DISCOUNTS) + 1) * N_ACTIONS + 3
         self.body = nn.Sequential(nn.Linear(n_features, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
         self.correction = nn.Linear(width, N_ACTIONS)
         nn.init.zeros_(self.correction.weight)
@@ -67,19 +74,24 @@ class Planner(nn.Module):
         worth = self.nearness.worth(belief)
         best = worth.max(axis=2, keepdims=True)
         behind = np.where(legal[:, None], worth, best) / best - 1
-        features = np.zeros((n, 2 * n_cells + behind[0].size + 3), np.float32)
+        cost = self.replanning.cost(belief)
+        least = cost.min(axis=1, keepdims=True)
+        spared = least - np.where(legal, cost, least)  # moves, at most 0
+        features = np.zeros((n, 2 * n_cells + behind[0].size + N_ACTIONS + 3), np.float32)
         features[:, :n_cells] = 4 * belief.probability
         features[np.arange(n), n_cells + belief.cell] = 1
-        features[:, 2 * n_cells : -3] = 5 * behind.reshape(n, -1)
+        features[:, 2 * n_cells : -3 - N_ACTIONS] = 5 * behind.reshape(n, -1)
+        features[:, -3 - N_ACTIONS : -3] = spared
         features[:, -3] = 3 * (belief.probability**2).sum(axis=1)
         features[:, -2] = step / STEP_LIMIT
         features[:, -1] = 2 * information
-        greedy = (SHARPNESS * behind[:, GREEDY]).astype(np.float32)
-        return Situation(torch.from_numpy(features), torch.from_numpy(greedy), torch.from_numpy(legal))
+        listens = np.clip((information - REPLANS) / (LISTENS - REPLANS), 0, 1)[:, None]
+        start = ((1 - listens) * EAGERNESS * spared + listens * SHARPNESS * behind[:, GREEDY]).astype(np.float32)
+        return Situation(*map(torch.from_numpy, (features, start, listens.astype(np.float32), legal)))
 
     def log_probabilities(self, situation: Situation, sharpening: float = 1.0) -> Tensor:
         """Of each action, (n, 4); illegal ones so small that they are never drawn."""
-        logits = self.correction(self.body(situation.features)).float() + situation.greedy
+        logits = self.correction(self.body(situation.features)).float() * situation.listens + situation.start
         return torch.log_softmax((sharpening * logits).masked_fill(~situation.legal, -1e9), dim=1)
 
     def value(self, situation: Situation, goal: Tensor) -> Tensor:
@@ -91,7 +103,7 @@ class Planner(nn.Module):
 
 @dataclass(frozen=True)
 class PlannerSettings:
-    """How a planner is trained: proximal policy optimisation (Schulman et al. 2017) from the greedy move."""
+    """How a planner is trained: proximal policy optimisation (Schulman et al. 2017) from the greedy moves."""
 
     seed: int = 0
     n_episodes: int = 4096
@@ -118,16 +130,16 @@ class PlannerSettings:
 
 def train_planner(
     world: GridWorld,
+    paths: Ints,
     settings: PlannerSettings,
-    draw: Draw = anybody,
     progress: Progress = unheard,
 ) -> Planner:
-    """Train a planner for decoders as ``draw`` gives them."""
+    """Train a planner for all decoders it doesn't replan with; ``paths`` as `Planner` takes them."""
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng(settings.seed)
     weights = pair_weights(world, settings.distribution)
-    episodes = Episodes(world, settings.n_episodes, weights, draw, rng, settings.limit)
-    planner = Planner(world).to(device())
+    episodes = Episodes(world, settings.n_episodes, weights, telling(REPLANS), rng, settings.limit)
+    planner = Planner(world, paths).to(device())
     descent = Descent(planner.parameters(), settings.learning_rate, 1 / 50, settings.max_gradient)
     for update in range(settings.updates):
         left = 1 - update / settings.updates

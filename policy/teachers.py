@@ -39,7 +39,7 @@ class Lesson:
 def make(world: GridWorld, settings: PlannerSettings, progress: Progress = unheard) -> bytes:
     """Train a planner and lay down the search; the contents of a teacher file."""
     paths = search_paths(world)
-    planner = train_planner(world, settings, progress=progress)
+    planner = train_planner(world, paths, settings, progress=progress)
     tensors = {**planner.state_dict(), _PATHS: torch.from_numpy(paths)}
     card = {"map": world.name, "map_digest": world.digest, "settings": asdict(settings)}
     return seal(tensors, _CARD, json.dumps(card, sort_keys=True))
@@ -52,8 +52,8 @@ def read(contents: bytes, world: GridWorld, name: str) -> Lesson:
         card = json.loads(text)
         settings = card["settings"]
         paths = tensors.pop(_PATHS).numpy()
-        planner = Planner(world)
         if card["map_digest"] == world.digest:
+            planner = Planner(world, paths)
             planner.load_state_dict(tensors)
     except (Damaged, RuntimeError, KeyError, ValueError) as error:
         raise SetupError(

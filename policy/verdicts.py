@@ -43,8 +43,6 @@ def separation(accuracy: Probabilities) -> NDArray[np.float64]:
     return distance
 
 
-LEAST_INFORMATION = 0.005
-"""Bits of the worst decoders the told policy is trained with: a little below where it stops listening."""
 _CERTAIN = 1 - 1e-6  # scores of an accuracy of one lie infinitely far apart; these are certain, too
 
 
@@ -167,18 +165,11 @@ _NAMES = tuple(field.name for field in fields(Decoders))
 
 
 def anybody(n: int, rng: np.random.Generator) -> Decoders:
-    """Decoders of all kinds that say something, to train the policy that is told which one it has.
+    """Decoders of all kinds, to train the policy that is told which one it has.
 
     Two in five give a score; the others a sign, a third of them with two rates as unequal as real ones are (SPEC of
     16 people: hit rates .01 to .93 beside correct rejection of .51 to 1). Up to three verdicts in ten are missing.
     """
-    drawn = _anybody(n, rng)
-    while not (says := drawn.information >= LEAST_INFORMATION).all():
-        drawn.put(~says, _anybody(int((~says).sum()), rng))
-    return drawn
-
-
-def _anybody(n: int, rng: np.random.Generator) -> Decoders:
     accuracy = rng.uniform(0.5, 1, n)
     unequal = rng.random(n) < 0.35
     correct_rejection = np.where(unequal, rng.uniform(0.5, 1, n), accuracy)
@@ -190,6 +181,18 @@ def _anybody(n: int, rng: np.random.Generator) -> Decoders:
     is_score = rng.random(n) < 0.4
     signs.put(is_score, Decoders.score(n, accuracy, missing=missing).take(is_score))
     return signs
+
+
+def telling(bits: float) -> "Draw":
+    """`anybody`, but only decoders whose verdicts say more than so many bits each."""
+
+    def draw(n: int, rng: np.random.Generator) -> Decoders:
+        drawn = anybody(n, rng)
+        while (mute := drawn.information <= bits).any():
+            drawn.put(mute, anybody(int(mute.sum()), rng))
+        return drawn
+
+    return draw
 
 
 Draw = Callable[[int, np.random.Generator], Decoders]

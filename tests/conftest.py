@@ -1,6 +1,7 @@
 """Tests isolate themselves on LSL: machine scope, a session id and ports of their own, this computer asked directly."""
 
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -30,6 +31,8 @@ _file = Path(_folder.name) / "lsl_api.cfg"
 _file.write_text(_LSL, encoding="utf-8")
 os.environ["LSLAPICFG"] = str(_file)  # before liblsl's first call, and inherited by every process a test starts
 os.environ["SDL_VIDEODRIVER"] = "dummy"
+# A shell starts what it runs in the background with Ctrl-C ignored, and every process a test starts would inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 import bci_app.threads  # noqa: E402, F401
 

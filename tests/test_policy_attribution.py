@@ -53,11 +53,13 @@ def test_the_first_step_of_an_episode_has_no_verdict_and_is_left_out(played):
     assert set(steps.episode) == set(range(4))
 
 
-@pytest.mark.parametrize(("accuracy", "part"), [(0.8, "listening"), (0.55, "searching")])
-def test_of_a_told_policy_the_part_that_plays_counts(accuracy, part):
+@pytest.mark.parametrize(
+    ("heard", "part"), [("binary:0.8", "listening"), ("binary:0.55", "listening"), ("none", "searching")]
+)
+def test_of_a_told_policy_the_part_that_plays_counts(heard, part):
     torch.manual_seed(0)
     told = ToldNetwork(HALL.n_cells, hidden=80).eval()
-    steps = record(told, HALL, Verdicts("binary", (accuracy,)), 2, seed=0)
+    steps = record(told, HALL, Verdicts.parse(heard), 2, seed=0)
     effect = effect_of(told, steps, SCALE)
     played = told(told.look(HALL, steps.view), steps.hidden).logits
     legal = torch.from_numpy(HALL.legal[steps.view.cell])

@@ -30,7 +30,7 @@ from policy.network import Network, PaperNetwork, ToldNetwork
 from policy.verdicts import Verdicts
 
 RING, OBSTACLES = compile_map("....\n.##.\n.##.\n....", "ring"), load_map("obstacles")
-NETWORKS = {"evidence-2": (Network, "binary:0.75"), "told-2": (ToldNetwork, "told"), "paper-1": (PaperNetwork, "none")}
+NETWORKS = {"evidence-2": (Network, "binary:0.75"), "told-3": (ToldNetwork, "told"), "paper-1": (PaperNetwork, "none")}
 
 
 def card(verdicts="binary:0.75", network=None, recipe="ours"):

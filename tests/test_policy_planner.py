@@ -1,4 +1,4 @@
-"""The planner: it starts as the greedy move on the exact belief and reinforcement doesn't make it worse."""
+"""The planner: it starts as the greedy moves on the exact belief and reinforcement doesn't make it worse."""
 
 from dataclasses import replace
 from functools import cache
@@ -11,14 +11,16 @@ from hypothesis import strategies as st
 
 from bci_app.gridworld import compile_map
 from policy.advantages import generalised_advantages
-from policy.baselines import NEARNESS, BayesPlayer, PlannerPlayer
+from policy.baselines import NEARNESS, BayesPlayer, PlannerPlayer, ReplanningPlayer
+from policy.coverage import search_paths
 from policy.episodes import Episodes
 from policy.evaluation import evaluate
-from policy.planner import DISCOUNTS, GREEDY, Planner, PlannerSettings, train_planner
+from policy.planner import DISCOUNTS, GREEDY, LISTENS, REPLANS, Planner, PlannerSettings, train_planner
 from policy.simulator import pair_weights
-from policy.verdicts import Verdicts, anybody
+from policy.verdicts import Verdicts, anybody, telling
 
 RING = compile_map("....\n.##.\n.##.\n....", "ring")
+PATHS = search_paths(RING)
 WEIGHTS = pair_weights(RING, "mixture")
 SMALL = PlannerSettings(
     n_episodes=128, n_steps=8, n_minibatches=4, updates=40, critic_updates=4, learning_rate=4e-3, limit=30
@@ -27,22 +29,22 @@ SMALL = PlannerSettings(
 
 @cache
 def trained():
-    return train_planner(RING, SMALL)
+    return train_planner(RING, PATHS, SMALL)
 
 
-def situation(planner, n_moves=4, n=64):
+def situation(planner, n_moves=4, n=64, draw=anybody):
     """What a planner sees after some moves, and the episodes."""
-    episodes = Episodes(RING, n, WEIGHTS, anybody, np.random.default_rng(0))
+    episodes = Episodes(RING, n, WEIGHTS, draw, np.random.default_rng(0))
     for _ in range(n_moves):
         episodes.move(np.argmax(RING.legal[episodes.simulator.cell], axis=1))
     simulator = episodes.simulator
     return planner.look(episodes.belief, simulator.step_number, simulator.decoders.information), episodes
 
 
-def test_a_fresh_planner_is_the_greedy_move():
+def test_a_fresh_planner_that_listens_is_the_greedy_move():
     assert DISCOUNTS[GREEDY] == NEARNESS  # as the baseline's
-    planner = Planner(RING)
-    seen, episodes = situation(planner)
+    planner = Planner(RING, PATHS)
+    seen, episodes = situation(planner, draw=telling(LISTENS))
     worth = planner.nearness.worth(episodes.belief)[:, GREEDY]
     probabilities = planner.log_probabilities(seen).exp().detach().numpy()
     chosen = probabilities.argmax(axis=1)
@@ -55,8 +57,15 @@ def test_a_fresh_planner_is_the_greedy_move():
     np.testing.assert_allclose(probabilities, expected / expected.sum(axis=1, keepdims=True), atol=1e-5)
 
 
+def test_near_chance_it_replans_whatever_it_learnt():
+    kind = Verdicts("binary", (0.6,))
+    assert (kind(1, np.random.default_rng(0)).information < REPLANS).all()
+    replanning = evaluate(ReplanningPlayer(RING, WEIGHTS, PATHS), RING, kind, n=500)
+    assert evaluate(PlannerPlayer(trained(), WEIGHTS), RING, kind, n=500) == replanning
+
+
 def test_what_the_planner_sees_is_of_the_order_of_one_and_without_the_goal():
-    planner = Planner(RING)
+    planner = Planner(RING, PATHS)
     seen, episodes = situation(planner)
     assert seen.features.abs().max() <= 5
     assert torch.isfinite(seen.features).all()
@@ -78,16 +87,16 @@ def test_training_doesnt_make_it_worse_than_the_greedy_move():
 
 def test_the_same_seed_gives_the_same_planner_and_progress_is_told():
     short, told = replace(SMALL, updates=3, critic_updates=1), []
-    runs = [train_planner(RING, short, progress=lambda update, figures: told.append(update)) for _ in range(2)]
+    runs = [train_planner(RING, PATHS, short, progress=lambda update, figures: told.append(update)) for _ in range(2)]
     for one, other in zip(*(run.state_dict().values() for run in runs), strict=True):
         assert torch.equal(one, other)
     assert told == [1, 2, 3] * 2
-    other = train_planner(RING, replace(short, seed=1))
+    other = train_planner(RING, PATHS, replace(short, seed=1))
     assert not torch.equal(other.correction.weight, runs[0].correction.weight)
 
 
 def test_the_first_updates_teach_the_critic_alone():
-    planner = train_planner(RING, replace(SMALL, updates=2, critic_updates=2))
+    planner = train_planner(RING, PATHS, replace(SMALL, updates=2, critic_updates=2))
     assert not planner.correction.weight.any()
     assert planner.worth.weight.abs().max() > 0
 

@@ -11,7 +11,7 @@ from bci_app.config import Config
 from bci_app.errors import SetupError
 from bci_app.gridworld import ACTIONS, compile_map, load_map
 from bci_app.protocol import Action, EpisodeEnd, EpisodeStart, MoveOnset, Truth
-from policy.simulator import DISTRIBUTIONS, Pairs, Simulator, pair_weights
+from policy.simulator import DISTRIBUTIONS, FAR_SHARE, Pairs, Simulator, pair_weights
 from policy.verdicts import Decoders
 from stimulus.episodes import Episode, online_plan
 from stimulus.paradigm import Paradigm
@@ -173,7 +173,8 @@ def test_the_experiments_distances_are_equally_likely():
     np.testing.assert_allclose(share[2:21], 1 / 19)
     assert share[:2].sum() == 0
     assert np.ptp(weights[OPEN.distance == 7]) == 0  # within one distance, pairs are alike
-    np.testing.assert_allclose(pair_weights(OPEN, "mixture"), (weights + pair_weights(OPEN, "pairs")) / 2)
+    mixture = (1 - FAR_SHARE) * pair_weights(OPEN, "pairs") + FAR_SHARE * weights
+    np.testing.assert_allclose(pair_weights(OPEN, "mixture"), mixture)
 
 
 @pytest.mark.parametrize("distribution", DISTRIBUTIONS)

@@ -6,7 +6,7 @@ comes with is a fixed input: all of them tell of one step, not of what earlier v
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -17,7 +17,7 @@ from torch import Tensor
 
 from bci_app.gridworld import N_ACTIONS, GridWorld
 from policy.evaluation import NetworkPlayer, play
-from policy.network import SEARCH_BELOW, Actor, Inputs, Network, PaperInputs, PaperNetwork, ToldNetwork
+from policy.network import Actor, Inputs, Network, PaperInputs, PaperNetwork, ToldNetwork, trusting
 from policy.observation import STEP_LIMIT, View
 from policy.simulator import Bools, Ints, Pairs, Simulator, pair_weights
 from policy.verdicts import Draw
@@ -131,8 +131,8 @@ class Effect:
 def effect_of(network: Actor, steps: Steps, scale: float) -> Effect:
     """The effect of verdict and position on a network of ours or the paper's."""
     if isinstance(network, ToldNetwork):  # which of its two plays depends on what it is told, the same at all steps
-        searches = (steps.view.information < SEARCH_BELOW).all()
-        network = network.searching if searches else network.listening
+        steps = replace(steps, view=trusting(steps.view))
+        network = network.listening if steps.view.information.any() else network.searching
     if isinstance(network, Network):
         return _Ours(network, steps, scale)
     assert isinstance(network, PaperNetwork)
