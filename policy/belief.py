@@ -1,5 +1,6 @@
 """The exact Bayes filter over the goal's cell: all that ``n`` agents can know from what they perceived."""
 
+from collections.abc import Sequence
 from copy import copy
 from functools import cache
 
@@ -76,6 +77,14 @@ class Belief:
         part = copy(self)
         part.keep(which)
         return part
+
+    @staticmethod
+    def joined(parts: Sequence["Belief"]) -> "Belief":
+        """The beliefs of all parts, one after another."""
+        whole = copy(parts[0])
+        whole.cell = np.concatenate([part.cell for part in parts])
+        whole.probability = np.concatenate([part.probability for part in parts])
+        return whole
 
     def _agrees(self, cell: NDArray[np.int64], sensed: NDArray[np.uint8]) -> Float32s:
         agrees: Float32s = _agreement(self.world)[cell * N_SENSES + sensed]

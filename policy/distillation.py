@@ -6,6 +6,7 @@ and learning.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -19,7 +20,7 @@ from policy.network import HIDDEN, Network
 from policy.planner import Planner
 from policy.processor import device, mixed_precision, moved
 from policy.simulator import Distribution, Ints, pair_weights
-from policy.verdicts import Draw
+from policy.verdicts import Draw, Floats
 
 
 @dataclass(frozen=True)
@@ -30,16 +31,17 @@ class DistillationSettings:
     """Of weights, episodes, verdicts and actions."""
     n_hidden: int = HIDDEN
     """GRU units."""
-    n_episodes: int = 1024
-    """Episodes played in parallel."""
+    n_episodes: int = 256
+    """Episodes played in parallel. As many moves in four times as many updates as with 1024 teach far more: with 8
+    million moves 6 % fewer steps at an accuracy of 0.7."""
     n_steps: int = 20
     """Steps of each between updates, and the length of back-propagation through time."""
     taught_every: int = 3
     """At one in so many steps of an episode the teacher is asked what it would do; from step to step little changes."""
-    updates: int = 2200
+    updates: int = 7000
     guided: float = 0.3
     """Share of the updates over which the teacher leads, in half of the episodes at first and in fewer and fewer."""
-    learning_rate: float = 4e-3
+    learning_rate: float = 3e-3
     """Adam's, falling linearly to a four-hundredth."""
     goal_weight: float = 1.0
     """Weight of the auxiliary head that learns the belief; it makes the memory keep what the planner knows."""
@@ -81,54 +83,70 @@ def distil(
     return network.cpu().eval()
 
 
+class _Known(NamedTuple):
+    """What the teacher decides by, in ``n`` situations: the belief, and (n,) each moves made and bits a verdict."""
+
+    belief: Belief
+    step: Ints
+    information: Floats
+
+
 class _Segment:
     """Some steps of all episodes, and what the teacher would have done in each."""
 
     def __init__(self, network: Network, planner: Planner, episodes: Episodes, settings: DistillationSettings) -> None:
         self.network, self.planner, self.episodes, self.settings = network, planner, episodes, settings
-        self.imitation: list[Tensor] = []
-        self.goal: list[Tensor] = []
+        self.logits: list[Tensor] = []
+        self.features: list[Tensor] = []
+        self.known: list[_Known] = []
         self.n_ended = 0
 
     def play(self, hidden: Tensor, led: int) -> Tensor:
         """Move on from a memory, the first ``led`` episodes as the teacher says; the memory after the last step."""
+        every, turns = np.arange(self.settings.n_episodes), self.settings.taught_every
         with mixed_precision():  # one context, or the weights would be converted anew at every step
             for number in range(self.settings.n_steps):
-                hidden = self._step(hidden, led, self._asked(number, led))
+                hidden = self._step(hidden, led, every[every % turns == number % turns])
         return hidden
-
-    def _asked(self, number: int, led: int) -> Ints:
-        """Episodes whose teacher is asked at a step: those it leads, and of the others one in some, in turn."""
-        every, turns = np.arange(self.settings.n_episodes), self.settings.taught_every
-        return np.flatnonzero((every < led) | (every % turns == number % turns))
 
     def _step(self, hidden: Tensor, led: int, asked: Ints) -> Tensor:
         episodes, rows = self.episodes, moved(torch.from_numpy(asked))
         output = self.network(moved(self.network.look(episodes.world, episodes.simulator.view())), hidden)
         logits = output.logits.masked_fill(~moved(episodes.legal()), -1e9)
-        belief = episodes.belief.of(asked)
-        taught = self._teach(belief, asked)
-        # Step by step, while all of it is in the processor's cache.
-        self.imitation.append(nn.functional.cross_entropy(logits.index_select(0, rows), taught))
-        guess = self.network.goal(output.features.index_select(0, rows)).float()
-        self.goal.append(nn.functional.cross_entropy(guess, moved(torch.from_numpy(belief.probability))))
+        self.logits.append(logits.index_select(0, rows))
+        self.features.append(output.features.index_select(0, rows))
+        self.known.append(self._known(asked))
         actions = drawn(torch.log_softmax(logits.detach(), dim=1).cpu(), episodes.rng)
-        actions[:led] = taught[:led].argmax(dim=1).cpu()
+        if led:
+            actions[:led] = self._teach(self._known(np.arange(led))).argmax(dim=1).cpu()
         done = episodes.move(actions.numpy()).done
         episodes.renew(done)
         self.n_ended += int(done.sum())
         kept: Tensor = output.hidden * moved(torch.from_numpy(~done))[:, None]
         return kept
 
-    @torch.no_grad()
-    def _teach(self, belief: Belief, asked: Ints) -> Tensor:
+    def _known(self, which: Ints) -> "_Known":
         simulator = self.episodes.simulator
-        seen = self.planner.look(belief, simulator.step_number[asked], simulator.decoders.information[asked])
+        belief, step = self.episodes.belief.of(which), simulator.step_number[which]
+        return _Known(belief, step, simulator.decoders.information[which])
+
+    @torch.no_grad()
+    def _teach(self, known: "_Known") -> Tensor:
+        seen = self.planner.look(*known)
         return self.planner.log_probabilities(moved(seen), self.settings.sharpening).exp()
 
     def loss(self) -> tuple[Tensor, dict[str, float]]:
-        """Cross-entropies of the actions and, beside, of the goal, with the figures to show."""
-        imitation, goal = torch.stack(self.imitation).mean(), torch.stack(self.goal).mean()
+        """Cross-entropies of the actions and, beside, of the goal, with the figures to show.
+
+        The teacher is asked about all steps at once, for that takes it far less time than step by step.
+        """
+        beliefs, step, information = zip(*self.known, strict=True)
+        belief = Belief.joined(beliefs)
+        with mixed_precision():
+            taught = self._teach(_Known(belief, np.concatenate(step), np.concatenate(information)))
+            guess = self.network.goal(torch.cat(self.features)).float()
+        imitation = nn.functional.cross_entropy(torch.cat(self.logits), taught)
+        goal = nn.functional.cross_entropy(guess, moved(torch.from_numpy(belief.probability)))
         steps = self.settings.n_steps * self.settings.n_episodes / max(self.n_ended, 1)
         figures = {"steps": steps, "imitation": imitation.item(), "goal": goal.item()}
         return imitation + self.settings.goal_weight * goal, figures

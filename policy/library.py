@@ -40,18 +40,18 @@ class Settings:
     search: RecitationSettings = field(default_factory=RecitationSettings)
     told: DistillationSettings = field(default_factory=DistillationSettings)
     special: DistillationSettings = field(
-        default_factory=lambda: DistillationSettings(updates=250, guided=0.0, learning_rate=2e-3)
+        default_factory=lambda: DistillationSettings(updates=900, guided=0.0, learning_rate=1.5e-3)
     )
     """Of a policy for one kind of verdicts; it goes on from the one that is told all kinds."""
     paper: ActorCriticSettings = field(default_factory=ActorCriticSettings)
 
     @classmethod
     def quick(cls) -> Self:
-        """Minutes instead of a quarter of an hour: the greedy move on the belief teaches, and not for long."""
+        """Minutes instead of a quarter of an hour: the greedy moves on the belief teach, and not for long."""
         return cls(
             teacher=PlannerSettings(updates=0),
             search=RecitationSettings(updates=250),
-            told=DistillationSettings(updates=400),
+            told=DistillationSettings(updates=1600),
         )
 
     def with_(self, updates: int | None, seed: int, wanted: Sequence[Verdicts] | None = None) -> Self:

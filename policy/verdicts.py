@@ -164,11 +164,21 @@ def _filled(n: int, *values: Probabilities | Floats) -> list[Floats]:
 _NAMES = tuple(field.name for field in fields(Decoders))
 
 
-def anybody(n: int, rng: np.random.Generator) -> Decoders:
+MISJUDGED = 0.1
+"""Points by which an accuracy may be told wrongly in training: so far off may a few blocks' estimate be, or a tired
+participant. Who never met such a decoder circles for ever where verdicts contradict each other more than expected."""
+_MOST_SURE = 0.99  # the highest accuracy that is told wrongly: a verdict taken for certain can't be doubted
+
+
+def anybody(n: int, rng: np.random.Generator, misjudged: float = 0.0) -> Decoders:
     """Decoders of all kinds, to train the policy that is told which one it has.
 
     Two in five give a score; the others a sign, a third of them with two rates as unequal as real ones are (SPEC of
     16 people: hit rates .01 to .93 beside correct rejection of .51 to 1). Up to three verdicts in ten are missing.
+
+    Parameters
+    ----------
+    misjudged : points by which half of the accuracies may be told wrongly.
     """
     accuracy = rng.uniform(0.5, 1, n)
     unequal = rng.random(n) < 0.35
@@ -177,9 +187,12 @@ def anybody(n: int, rng: np.random.Generator) -> Decoders:
     # A decoder that calls errors correct more often than correct moves would have its sign turned: this one is dead.
     hit = np.maximum(hit, 1 - correct_rejection)
     missing = np.where(rng.random(n) < 0.3, rng.uniform(0, 0.3, n), 0.0)
-    signs = Decoders.binary(n, hit, correct_rejection, missing=missing)
+    off = np.where(rng.random(n) < 0.5, rng.uniform(-misjudged, misjudged, n), 0.0)
+    told = np.clip(accuracy + off, 0.5, np.maximum(accuracy, _MOST_SURE))
+    rates = np.where(unequal, hit, told), np.where(unequal, correct_rejection, told)
+    signs = Decoders.binary(n, hit, correct_rejection, rates, missing)
     is_score = rng.random(n) < 0.4
-    signs.put(is_score, Decoders.score(n, accuracy, missing=missing).take(is_score))
+    signs.put(is_score, Decoders.score(n, accuracy, told, missing).take(is_score))
     return signs
 
 
@@ -277,7 +290,7 @@ class Verdicts:
             case "score":
                 return Decoders.score(n, self.numbers[0], believed.numbers[0], self.missing)
             case "told":
-                return anybody(n, rng)
+                return anybody(n, rng, MISJUDGED)
 
     @property
     def balanced_accuracy(self) -> float:
