@@ -146,6 +146,16 @@ def test_kept_beliefs_go_on():
     np.testing.assert_array_equal(belief.cell, cell)
 
 
+def test_joined_beliefs_are_one_after_another():
+    *_, (episodes, _, _) = walk(WORLDS["ring"], anybody, n=6)
+    parts = [episodes.belief.of(np.array(which)) for which in ([4], [1, 5])]
+    whole = Belief.joined(parts)
+    np.testing.assert_array_equal(whole.cell, episodes.belief.cell[[4, 1, 5]])
+    np.testing.assert_array_equal(whole.probability, episodes.belief.probability[[4, 1, 5]])
+    whole.keep(np.array([0]))
+    assert len(parts[1].cell) == 2  # the parts go on by themselves
+
+
 @pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
 def test_the_table_of_errors_is_the_worlds(world):
     table = error_table(world)

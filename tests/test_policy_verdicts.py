@@ -20,6 +20,7 @@ from policy.verdicts import (
     binary_information,
     score_information,
     separation,
+    telling,
 )
 
 N = 40_000
@@ -161,6 +162,31 @@ def test_training_for_anybody_meets_all_kinds_and_none_worse_than_chance():
     assert decoders.missing.max() <= 0.3
     assert 0 <= decoders.information.min() < 0.01
     assert 0.9 < decoders.information.max() <= 1
+
+
+def told_accuracies(decoders):
+    """True and told ones of the binary decoders with one rate for both."""
+    alike = ~decoders.is_score & (decoders.hit == decoders.correct_rejection)
+    return decoders.hit[alike], expit(decoders.if_error[alike].astype(float))
+
+
+def test_half_of_the_decoders_may_be_misjudged_by_so_many_points_and_no_more():
+    true, told = told_accuracies(anybody(20_000, np.random.default_rng(0)))
+    np.testing.assert_allclose(told, true, atol=1e-4)
+    true, told = told_accuracies(anybody(20_000, np.random.default_rng(0), misjudged=0.1))
+    off = np.abs(told - true)
+    assert 0.4 < (off > 1e-4).mean() < 0.5  # half, but for those that stay between chance and certainty
+    assert 0.09 < off.max() < 0.1 + 1e-4
+    assert told.min() > 0.5 - 1e-6
+    scores = anybody(20_000, np.random.default_rng(0), misjudged=0.1).take(slice(0, 20_000))
+    wrong = scores.is_score & (np.abs(scores.scale - scores.distance) > 1e-4)
+    assert 0.4 < wrong.sum() / scores.is_score.sum() < 0.5
+
+
+def test_decoders_that_tell_something_tell_more_than_asked():
+    information = telling(0.045)(5000, np.random.default_rng(0)).information
+    assert len(information) == 5000
+    assert 0.045 < information.min() < 0.05
 
 
 def test_resampled_evidence_is_what_was_held_out():
