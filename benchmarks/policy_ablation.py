@@ -1,6 +1,6 @@
 """What each part of our training recipe is worth: the same policy trained without it, on the same number of moves.
 
-    python benchmarks/policy_ablation.py [--map open] [--accuracy 0.7] [--updates 500] [--seeds 2]
+    python benchmarks/policy_ablation.py [--map open] [--accuracy 0.7] [--updates 2000] [--seeds 2]
 
 Prints a Markdown table of mean steps over 20,000 episodes, and their spread over seeds. The teacher is the shipped one.
 """
@@ -64,8 +64,8 @@ VARIANTS = (
     Variant("the teacher is asked at every step", {"taught_every": 1}),
     Variant("the teacher never leads", {"guided": 0.0}),
     Variant("the teacher leads half of the episodes to the end", {"guided": 1e9}),
-    Variant("back-propagation through 10 steps", {"n_steps": 10, "n_episodes": 2048}),
-    Variant("back-propagation through 40 steps", {"n_steps": 40, "n_episodes": 512}),
+    Variant("back-propagation through 10 steps", {"n_steps": 10, "n_episodes": 512}),
+    Variant("back-propagation through 40 steps", {"n_steps": 40, "n_episodes": 128}),
     Variant("evidence by one row a move", network=one_row),
     Variant("evidence by one row for all moves", network=no_rows),
 )
@@ -103,7 +103,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--map", default="open")
     parser.add_argument("--accuracy", type=float, default=0.7)
-    parser.add_argument("--updates", type=int, default=500)
+    parser.add_argument("--updates", type=int, default=2000)
     parser.add_argument("--seeds", type=int, default=2)
     options = parser.parse_args()
     verdicts = Verdicts.parse(f"binary:{options.accuracy:g}")

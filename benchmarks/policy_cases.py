@@ -18,7 +18,19 @@ import torch
 
 from bci_app.gridworld import load_map
 from bci_app.progress import Progress
-from policy import baselines, belief, coverage, evaluation, network, observation, planner, players, simulator, verdicts
+from policy import (
+    baselines,
+    belief,
+    coverage,
+    evaluation,
+    network,
+    observation,
+    planner,
+    players,
+    replanning,
+    simulator,
+    verdicts,
+)
 from policy.checkpoint import SUFFIX, policy_name
 from policy.evaluation import Played, play_many
 from policy.library import ACCURACIES, TOLD, WITHOUT
@@ -33,7 +45,19 @@ OFF = 0.10
 """Points by which an accuracy is told wrongly, and the lowest and highest that may be told."""
 LOWEST, HIGHEST = 0.505, 0.999
 MISSING = (0.1, 0.2, 0.4)
-PLAYED_BY = (baselines, belief, coverage, evaluation, network, observation, planner, players, simulator, verdicts)
+PLAYED_BY = (
+    baselines,
+    belief,
+    coverage,
+    evaluation,
+    network,
+    observation,
+    planner,
+    players,
+    replanning,
+    simulator,
+    verdicts,
+)
 """Modules on whose code the steps depend."""
 
 
@@ -64,7 +88,12 @@ class Play:
     def key(self, folder: Path, episodes: int, seed: int) -> dict[str, Any]:
         """Everything the outcome depends on, ready for JSON; equal for plays that would end alike."""
         world = load_map(self.map)
-        file = {"bayes": None, "planner": path_of(folder, world), "sweep": path_of(folder, world)}
+        file = {
+            "bayes": None,
+            "planner": path_of(folder, world),
+            "sweep": path_of(folder, world),
+            "replan": path_of(folder, world),
+        }
         return {
             "map": world.digest,
             "player": self.player if self.player in BASELINES else "policy",

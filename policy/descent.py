@@ -28,7 +28,7 @@ class Descent:
         self, parameters: Iterable[nn.Parameter], learning_rate: float, least: float, max_gradient: float
     ) -> None:
         self._parameters = list(parameters)
-        self._optimizer = torch.optim.Adam(self._parameters, eps=1e-5)
+        self._optimizer = torch.optim.Adam(self._parameters, eps=1e-5, fused=True)
         self._learning_rate, self._least, self._max_gradient = learning_rate, least, max_gradient
 
     def slow_down(self, left: float) -> None:

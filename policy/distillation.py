@@ -49,6 +49,8 @@ class DistillationSettings:
     """Power of the teacher's probabilities: its entropy is a rest of its exploration."""
     max_gradient: float = 1.0
     """Norm at which the gradient is clipped."""
+    limit: int = 120
+    """Steps of an episode: beyond the 60 of the experiment, or who is lost by then would never have learnt to go on."""
     distribution: Distribution = "mixture"
     """Starts and goals: mostly as in random episodes, but also as in the experiment, so that far goals are learnt."""
 
@@ -67,7 +69,7 @@ def distil(
     network = (network or Network(world.n_cells, settings.n_hidden)).to(device()).train()
     planner.to(device())
     weights = pair_weights(world, settings.distribution)
-    episodes = Episodes(world, settings.n_episodes, weights, draw, rng)
+    episodes = Episodes(world, settings.n_episodes, weights, draw, rng, settings.limit)
     descent = Descent(network.parameters(), settings.learning_rate, 1 / 400, settings.max_gradient)
     hidden = torch.zeros(settings.n_episodes, network.n_hidden, device=device())
     for update in range(settings.updates):
@@ -75,7 +77,7 @@ def distil(
         descent.slow_down(1 - done)
         led = round(settings.n_episodes / 2 * max(0.0, 1 - done / settings.guided)) if settings.guided else 0
         segment = _Segment(network, planner, episodes, settings)
-        hidden = segment.play(hidden.detach(), led)
+        hidden = segment.play(hidden.detach(), led, update * settings.n_steps)
         loss, figures = segment.loss()
         descent.step(loss)
         progress(update + 1, figures)
@@ -101,11 +103,14 @@ class _Segment:
         self.known: list[_Known] = []
         self.n_ended = 0
 
-    def play(self, hidden: Tensor, led: int) -> Tensor:
-        """Move on from a memory, the first ``led`` episodes as the teacher says; the memory after the last step."""
+    def play(self, hidden: Tensor, led: int, first: int) -> Tensor:
+        """Move on from a memory, the first ``led`` episodes as the teacher says; the memory after the last step.
+
+        ``first`` is the number of steps made before, so that the episodes take turns in asking the teacher.
+        """
         every, turns = np.arange(self.settings.n_episodes), self.settings.taught_every
         with mixed_precision():  # one context, or the weights would be converted anew at every step
-            for number in range(self.settings.n_steps):
+            for number in range(first, first + self.settings.n_steps):
                 hidden = self._step(hidden, led, every[every % turns == number % turns])
         return hidden
 

@@ -29,12 +29,14 @@ GREEDY = 1  # the discount whose greedy move the planner starts from where verdi
 SHARPNESS = 30.0  # of that move's probability: a worth 10 % lower is e^3 times rarer
 REPLANS, LISTENS = 0.045, 0.1
 """Bits a verdict up to which the planner makes the move of the fewest expected steps, were nothing more to be learnt,
-and from which on its own."""
-EAGERNESS = 3.0  # of that move's probability: one step more is e^3 times rarer
+and from which on its own: accuracies of 0.62 and 0.68. Below, no training beat replanning; from 0.70 on the greedy move
+is at least as good (both maps, 4000 episodes at each accuracy)."""
+EAGERNESS = 3.0  # of that move's probability: one step more is e^3 times rarer, about as rare as SHARPNESS makes it
 
 
 class Situation(NamedTuple):
-    """What the planner sees: features (n, n_features), the logits it starts from (n, 4) and legal actions (n, 4)."""
+    """What the planner sees: features (n, n_features), the logits it starts from (n, 4), how far it goes on from there
+    with what it learnt, 0 to 1, (n, 1), and legal actions (n, 4)."""
 
     features: Tensor
     start: Tensor
@@ -43,7 +45,7 @@ class Situation(NamedTuple):
 
 
 class Planner(nn.Module):
-    """Corrects the greedy moves on the belief.
+    """Corrects the greedy move on the belief, or replans where verdicts say little.
 
     Parameters
     ----------
@@ -72,7 +74,8 @@ class Planner(nn.Module):
         n, n_cells = belief.probability.shape
         legal = self.world.legal[belief.cell]
         worth = self.nearness.worth(belief)
-        best = worth.max(axis=2, keepdims=True)
+        # Nothing is near where a belief has vanished, or a sure goal is beyond what 32 bits can tell of.
+        best = np.maximum(worth.max(axis=2, keepdims=True), np.finfo(np.float32).tiny)
         behind = np.where(legal[:, None], worth, best) / best - 1
         cost = self.replanning.cost(belief)
         least = cost.min(axis=1, keepdims=True)

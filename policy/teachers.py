@@ -18,6 +18,8 @@ from policy.simulator import Ints
 _CARD = "teacher"
 _PATHS = "search_paths"
 SUFFIX = "_teacher.safetensors"
+LAYOUT = "replanning-1"
+"""Name and version of what a planner sees and starts from: to be changed with it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +43,7 @@ def make(world: GridWorld, settings: PlannerSettings, progress: Progress = unhea
     paths = search_paths(world)
     planner = train_planner(world, paths, settings, progress=progress)
     tensors = {**planner.state_dict(), _PATHS: torch.from_numpy(paths)}
-    card = {"map": world.name, "map_digest": world.digest, "settings": asdict(settings)}
+    card = {"layout": LAYOUT, "map": world.name, "map_digest": world.digest, "settings": asdict(settings)}
     return seal(tensors, _CARD, json.dumps(card, sort_keys=True))
 
 
@@ -51,8 +53,8 @@ def read(contents: bytes, world: GridWorld, name: str) -> Lesson:
         tensors, text = opened(contents, _CARD)
         card = json.loads(text)
         settings = card["settings"]
-        paths = tensors.pop(_PATHS).numpy()
-        if card["map_digest"] == world.digest:
+        layout, paths = card.get("layout", "greedy-1"), tensors.pop(_PATHS).numpy()
+        if card["map_digest"] == world.digest and layout == LAYOUT:
             planner = Planner(world, paths)
             planner.load_state_dict(tensors)
     except (Damaged, RuntimeError, KeyError, ValueError) as error:
@@ -64,6 +66,11 @@ def read(contents: bytes, world: GridWorld, name: str) -> Lesson:
         raise SetupError(
             f"The teacher '{name}' knows map '{card['map']}' (digest {card['map_digest'][:12]}), not '{world.name}' "
             f"(digest {world.digest[:12]}). Give another folder, or delete it."
+        )
+    if layout != LAYOUT:
+        raise SetupError(
+            f"The teacher '{name}' is of layout '{layout}', this program's are '{LAYOUT}'. "
+            "Train it anew in another folder."
         )
     return Lesson(planner.eval(), paths, settings)
 

@@ -49,7 +49,9 @@ _CERTAIN = 1 - 1e-6  # scores of an accuracy of one lie infinitely far apart; th
 def binary_information(hit: Probabilities, correct_rejection: Probabilities) -> NDArray[np.float64]:
     """Bits a binary verdict gives on a move that is an error with probability one half (mutual information)."""
     p_error = (np.asarray(hit) + 1 - np.asarray(correct_rejection)) / 2
-    return np.maximum(_entropy(p_error) - (_entropy(hit) + _entropy(correct_rejection)) / 2, 0.0)
+    bits = _entropy(p_error) - (_entropy(hit) + _entropy(correct_rejection)) / 2
+    # A decoder that says nothing says exactly nothing: what is left are rounding errors.
+    return np.where(bits < 1e-9, 0.0, bits)
 
 
 def score_information(accuracy: Probabilities) -> NDArray[np.float64]:
@@ -178,22 +180,33 @@ def anybody(n: int, rng: np.random.Generator, misjudged: float = 0.0) -> Decoder
 
     Parameters
     ----------
-    misjudged : points by which half of the accuracies may be told wrongly.
+    misjudged : points by which the rates of half of them may be told wrongly.
     """
     accuracy = rng.uniform(0.5, 1, n)
     unequal = rng.random(n) < 0.35
-    correct_rejection = np.where(unequal, rng.uniform(0.5, 1, n), accuracy)
     hit = np.where(unequal, rng.uniform(0, 1, n), accuracy)
-    # A decoder that calls errors correct more often than correct moves would have its sign turned: this one is dead.
-    hit = np.maximum(hit, 1 - correct_rejection)
-    missing = np.where(rng.random(n) < 0.3, rng.uniform(0, 0.3, n), 0.0)
+    correct_rejection = np.where(unequal, rng.uniform(0.5, 1, n), accuracy)
     off = np.where(rng.random(n) < 0.5, rng.uniform(-misjudged, misjudged, n), 0.0)
-    told = np.clip(accuracy + off, 0.5, np.maximum(accuracy, _MOST_SURE))
-    rates = np.where(unequal, hit, told), np.where(unequal, correct_rejection, told)
-    signs = Decoders.binary(n, hit, correct_rejection, rates, missing)
+    missing = np.where(rng.random(n) < 0.3, rng.uniform(0, 0.3, n), 0.0)
+    true, told = _rates(hit, correct_rejection, 0), _rates(hit, correct_rejection, off)
+    signs = Decoders.binary(n, *true, told, missing)
     is_score = rng.random(n) < 0.4
-    signs.put(is_score, Decoders.score(n, accuracy, told, missing).take(is_score))
+    signs.put(is_score, Decoders.score(n, accuracy, _told(accuracy, off).clip(min=0.5), missing).take(is_score))
     return signs
+
+
+def _rates(
+    hit: Probabilities, correct_rejection: Probabilities, off: Probabilities
+) -> tuple[Probabilities, Probabilities]:
+    """Two rates so many points off. A decoder that calls errors correct more often than correct moves is a dead one: in
+    a calibration its sign would have been turned."""
+    correct_rejection = _told(correct_rejection, off)
+    return np.maximum(_told(hit, off), 1 - correct_rejection), correct_rejection
+
+
+def _told(rate: Probabilities, off: Probabilities) -> NDArray[np.float64]:
+    told: NDArray[np.float64] = np.clip(np.add(rate, off), 0, np.maximum(rate, _MOST_SURE))
+    return told
 
 
 def telling(bits: float) -> "Draw":
