@@ -57,7 +57,7 @@ class Variant:
 
 VARIANTS = (
     Variant("our recipe"),
-    Variant("the teacher is where the planner began: the greedy moves on the belief", greedy_teacher=True),
+    Variant("the teacher is the planner before any training", greedy_teacher=True),
     Variant("no auxiliary head that learns the belief", {"goal_weight": 0.0}),
     Variant("auxiliary head with weight 0.3", {"goal_weight": 0.3}),
     Variant("the teacher's probabilities as they are, not sharpened", {"sharpening": 1.0}),

@@ -46,17 +46,8 @@ OFF = 0.10
 LOWEST, HIGHEST = 0.505, 0.999
 MISSING = (0.1, 0.2, 0.4)
 PLAYED_BY = (
-    baselines,
-    belief,
-    coverage,
-    evaluation,
-    network,
-    observation,
-    planner,
-    players,
-    replanning,
-    simulator,
-    verdicts,
+    *(baselines, belief, coverage, evaluation, network, observation, planner),
+    *(players, replanning, simulator, verdicts),
 )
 """Modules on whose code the steps depend."""
 
@@ -88,12 +79,7 @@ class Play:
     def key(self, folder: Path, episodes: int, seed: int) -> dict[str, Any]:
         """Everything the outcome depends on, ready for JSON; equal for plays that would end alike."""
         world = load_map(self.map)
-        file = {
-            "bayes": None,
-            "planner": path_of(folder, world),
-            "sweep": path_of(folder, world),
-            "replan": path_of(folder, world),
-        }
+        file = {"bayes": None, **dict.fromkeys(("planner", "sweep", "replan"), path_of(folder, world))}
         return {
             "map": world.digest,
             "player": self.player if self.player in BASELINES else "policy",

@@ -31,6 +31,8 @@ _INWARD, _OUTWARD = HIDDEN + 121 + N_MARKS, 4 + 121 / TAUGHT_EVERY
 STUDENT_FLOP = 2 * (3 * HIDDEN * HIDDEN + _INWARD * WIDTH + WIDTH * HEAD + HEAD * _OUTWARD)
 """Of one step forward: the matrix products of `policy.network.Network`; backward costs twice as much."""
 PLANNER_WIDTH = 128
+REPLANNING_FLOP = 2 * 155 * 121
+"""Of weighing the paths that come by a cell, 155 on average, by the belief."""
 PLANNER_FLOP = 2 * PLANNER_WIDTH * (261 + PLANNER_WIDTH + 4)
 CRITIC_FLOP = 2 * PLANNER_WIDTH * (261 + 121 + PLANNER_WIDTH + 1)
 
@@ -113,8 +115,8 @@ def main() -> None:
         print(f"| environment alone, {words} | {together(environment, words) / 1e6:.2f} | | | |")
     # Acting and learning share one pass of the student; the planner acts once and learns once from each move.
     work = {
-        "distillation": 3 * STUDENT_FLOP + PLANNER_FLOP / TAUGHT_EVERY,
-        "planner": 4 * (PLANNER_FLOP + CRITIC_FLOP),
+        "distillation": 3 * STUDENT_FLOP + (PLANNER_FLOP + REPLANNING_FLOP) / TAUGHT_EVERY,
+        "planner": 4 * (PLANNER_FLOP + CRITIC_FLOP) + REPLANNING_FLOP,
     }
     for which, flop in work.items():
         speed = together(training, which)

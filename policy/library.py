@@ -47,7 +47,7 @@ class Settings:
 
     @classmethod
     def quick(cls) -> Self:
-        """Minutes instead of a quarter of an hour: the greedy moves on the belief teach, and not for long."""
+        """Minutes instead of a quarter of an hour: the planner before any training teaches, and not for long."""
         return cls(
             teacher=PlannerSettings(updates=0),
             search=RecitationSettings(updates=250),

@@ -60,11 +60,13 @@ def test_of_a_told_policy_the_part_that_plays_counts(heard, part):
     torch.manual_seed(0)
     told = ToldNetwork(HALL.n_cells, hidden=80).eval()
     steps = record(told, HALL, Verdicts.parse(heard), 2, seed=0)
-    effect = effect_of(told, steps, SCALE)
+    effect = effect_of(told, steps, float(steps.view.evidence.max()) or SCALE)
     played = told(told.look(HALL, steps.view), steps.hidden).logits
     legal = torch.from_numpy(HALL.legal[steps.view.cell])
     expected = torch.log_softmax(played.masked_fill(~legal, -torch.inf), dim=1).max(dim=1).values
     torch.testing.assert_close(effect(effect.verdict, effect.position, everything(effect)), expected)
+    if heard != "none":
+        assert set(effect.verdict.flatten().tolist()) == {-1, 1}  # however much more it is trusted than told
     getattr(told, part).judged.weight.data.zero_()
     getattr(told, part).judged_sure.weight.data.zero_()
     assert (attributions(effect, "gradient")[0] == 0).all()

@@ -175,10 +175,10 @@ def test_half_of_the_decoders_may_be_misjudged_by_so_many_points_and_no_more():
     np.testing.assert_allclose(told, true, atol=1e-4)
     true, told = told_accuracies(anybody(20_000, np.random.default_rng(0), misjudged=0.1))
     off = np.abs(told - true)
-    assert 0.4 < (off > 1e-4).mean() < 0.5  # half, but for those that stay between chance and certainty
+    assert 0.4 < (off > 1e-4).mean() < 0.55  # half, but for those that stay certain
     assert 0.09 < off.max() < 0.1 + 1e-4
     assert told.min() > 0.5 - 1e-6
-    scores = anybody(20_000, np.random.default_rng(0), misjudged=0.1).take(slice(0, 20_000))
+    scores = anybody(20_000, np.random.default_rng(0), misjudged=0.1)
     wrong = scores.is_score & (np.abs(scores.scale - scores.distance) > 1e-4)
     assert 0.4 < wrong.sum() / scores.is_score.sum() < 0.5
 

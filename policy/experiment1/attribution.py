@@ -131,7 +131,8 @@ class Effect:
 def effect_of(network: Actor, steps: Steps, scale: float) -> Effect:
     """The effect of verdict and position on a network of ours or the paper's."""
     if isinstance(network, ToldNetwork):  # which of its two plays depends on what it is told, the same at all steps
-        steps = replace(steps, view=trusting(steps.view))
+        alike = trusting(replace(steps.view, evidence=np.full_like(steps.view.evidence, scale)))
+        steps, scale = replace(steps, view=trusting(steps.view)), float(alike.evidence[0])
         network = network.listening if steps.view.information.any() else network.searching
     if isinstance(network, Network):
         return _Ours(network, steps, scale)
