@@ -87,7 +87,7 @@ def test_other_words_are_not_told(text):
         (Network, "rates:0.6:0.9", None),
         (PaperNetwork, "binary:0.8", None),
         (ToldNetwork, "told", TOLD),
-        (ToldNetwork, "told", Told(0.58, 0.57, 0.02)),  # near chance it trusts more than it is told
+        (ToldNetwork, "told", Told(0.58, 0.57, 0.02)),  # near chance it doubts what it is told
         (ToldNetwork, "told", Told(0.5, 0.5, 0.0)),  # and without verdicts it searches
     ],
 )

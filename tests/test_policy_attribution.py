@@ -66,7 +66,7 @@ def test_of_a_told_policy_the_part_that_plays_counts(heard, part):
     expected = torch.log_softmax(played.masked_fill(~legal, -torch.inf), dim=1).max(dim=1).values
     torch.testing.assert_close(effect(effect.verdict, effect.position, everything(effect)), expected)
     if heard != "none":
-        assert set(effect.verdict.flatten().tolist()) == {-1, 1}  # however much more it is trusted than told
+        assert set(effect.verdict.flatten().tolist()) == {-1, 1}  # however it is doubted
     getattr(told, part).judged.weight.data.zero_()
     getattr(told, part).judged_sure.weight.data.zero_()
     assert (attributions(effect, "gradient")[0] == 0).all()

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from bci_app.gridworld import N_ACTIONS, GridWorld
 from policy.evaluation import NetworkPlayer, play
-from policy.network import Actor, Inputs, Network, PaperInputs, PaperNetwork, ToldNetwork, trusting
+from policy.network import Actor, Inputs, Network, PaperInputs, PaperNetwork, ToldNetwork, doubting
 from policy.observation import STEP_LIMIT, View
 from policy.simulator import Bools, Ints, Pairs, Simulator, pair_weights
 from policy.verdicts import Draw
@@ -131,8 +131,8 @@ class Effect:
 def effect_of(network: Actor, steps: Steps, scale: float) -> Effect:
     """The effect of verdict and position on a network of ours or the paper's."""
     if isinstance(network, ToldNetwork):  # which of its two plays depends on what it is told, the same at all steps
-        alike = trusting(replace(steps.view, evidence=np.full_like(steps.view.evidence, scale)))
-        steps, scale = replace(steps, view=trusting(steps.view)), float(alike.evidence[0])
+        alike = doubting(replace(steps.view, evidence=np.full_like(steps.view.evidence, scale)))
+        steps, scale = replace(steps, view=doubting(steps.view)), float(alike.evidence[0])
         network = network.listening if steps.view.information.any() else network.searching
     if isinstance(network, Network):
         return _Ours(network, steps, scale)
