@@ -22,6 +22,7 @@ from decoder.chain import design
 from decoder.classifier import fit
 from decoder.epochs import Epoch, Shape, cut_recording
 from decoder.operator import chain_operator, features
+from decoder.spatial import common_average
 
 N_MOVES, N_ERRORS, MOVE_S = 600, 180, 3.0
 
@@ -47,9 +48,9 @@ def measure(seed: int, decodability: float, n_blocks: int = 2, phase: str = "min
     speed = len(samples) / person.sfreq / (time.perf_counter() - began)
     chain = design(ChainConfig(phase=phase), person.sfreq)
     shape = Shape(person.sfreq, chain.n_before, chain.n_after, EegConfig().max_uv)
-    operator = chain_operator(chain)
+    operator, spatial = chain_operator(chain), common_average(len(person.names))
     epochs = cut_recording(samples, np.arange(len(samples)) / person.sfreq, onsets.tolist(), shape)
-    rows = np.stack([features(epoch.data, operator) for epoch in epochs if isinstance(epoch, Epoch)])
+    rows = np.stack([features(epoch.data, operator, spatial) for epoch in epochs if isinstance(epoch, Epoch)])
     known, truth = rows[:N_MOVES], error[:N_MOVES]
     held_out = held_out_log_odds(known, truth, config, stratified_folds(truth, config))
     tenfold = score(held_out, truth)

@@ -14,6 +14,7 @@ from decoder.epochs import Epoch, Rejection, Shape
 from decoder.evidence import Evidence
 from decoder.model import DecoderModel, fit_stream
 from decoder.operator import chain_operator, digest, features
+from decoder.spatial import common_average, compose
 
 MoveKey = tuple[int, int]
 """(episode, step)."""
@@ -27,21 +28,21 @@ class Judge:
     ----------
     session : goes into every verdict.
     shape : what an epoch must look like.
-    order : (n_channels,), the decoder's channels as indices into the stream's EEG channels.
     operator : (n_raw, n_windows).
+    spatial : (n_channels, n_stream), from the stream's EEG channels to the decoder's; the same for a whole block.
     classifier, evidence : None in a calibration, when epochs are only checked.
     """
 
     session: str
     shape: Shape
-    order: NDArray[np.int64]
     operator: NDArray[np.float64]
+    spatial: NDArray[np.float64]
     classifier: LinearClassifier | None
     evidence: Evidence | None
 
     def features(self, epoch: Epoch) -> NDArray[np.float64]:
         """The epoch's features, (n_channels * n_windows,), uV."""
-        return features(epoch.data[:, self.order], self.operator)
+        return features(epoch.data, self.operator, self.spatial)
 
     def verdict(self, key: MoveKey, result: Epoch | Rejection, clock_offset: float) -> Verdict:
         """The verdict on a move's epoch, or why there is none."""
@@ -74,13 +75,13 @@ class Judge:
 def judge_with(model: DecoderModel, config: Config, eeg: EegDescription, session: str) -> Judge:
     """A judge with a fitted decoder. Raises SetupError when the stream doesn't fit it."""
     info = model.info
-    order = fit_stream(model, eeg.name, eeg.picked, eeg.sfreq)
+    spatial = compose(len(eeg.picks), fit_stream(model, eeg.name, eeg.picked, eeg.sfreq))
     shape = Shape(eeg.sfreq, info.n_before, info.n_after, config.eeg.max_uv)
-    return Judge(session, shape, order, model.operator, model.classifier, info.evidence)
+    return Judge(session, shape, model.operator, spatial, model.classifier, info.evidence)
 
 
 def judge_without(config: Config, eeg: EegDescription, session: str) -> Judge:
     """A judge for a calibration: all EEG channels, features but no verdict."""
     chain = design(config.chain, eeg.sfreq)
     shape = Shape(eeg.sfreq, chain.n_before, chain.n_after, config.eeg.max_uv)
-    return Judge(session, shape, np.arange(len(eeg.picks)), chain_operator(chain), None, None)
+    return Judge(session, shape, chain_operator(chain), common_average(len(eeg.picks)), None, None)

@@ -2,6 +2,8 @@
 
 import re
 from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,19 +48,24 @@ def match_channels(wanted: Sequence[str], found: Sequence[str]) -> tuple[list[in
     return [places[canonical(name)] for name in wanted if canonical(name) in places], missing
 
 
-def directions(names: Sequence[str]) -> NDArray[np.float64]:
-    """Where electrodes sit: (n_channels, 3) unit vectors (right, front, up) from the head's middle; NaN if unknown.
-
-    From MNE's template of the 10-05 system on the Colin27 head.
-    """
-    # Only the simulated participant needs places, and MNE is slow to import.
+@lru_cache(maxsize=1)
+def template() -> Any:
+    """MNE's montage of the 10-05 system on the Colin27 head."""
+    # Only the simulated participant and repaired channels need places, and MNE is slow to import.
     import mne
 
     try:
-        montage = mne.channels.make_standard_montage("colin27_1005")
+        return mne.channels.make_standard_montage("colin27_1005")
     except ValueError:  # the template's name before MNE 1.13
-        montage = mne.channels.make_standard_montage("standard_1005")
-    known = {canonical(name): place for name, place in montage.get_positions()["ch_pos"].items()}
+        return mne.channels.make_standard_montage("standard_1005")
+
+
+def directions(names: Sequence[str]) -> NDArray[np.float64]:
+    """Where electrodes sit: (n_channels, 3) unit vectors (right, front, up) from the head's middle; NaN if unknown.
+
+    From `template`.
+    """
+    known = {canonical(name): place for name, place in template().get_positions()["ch_pos"].items()}
     nowhere = np.full(3, np.nan)
     # The template's origin is a point of the brain's atlas; the sphere through the scalp is centred 15 mm behind it.
     places = np.array([known.get(canonical(name), nowhere) for name in names]) - (0.0, -0.015, 0.01)

@@ -16,6 +16,7 @@ from decoder.evidence import calibrate_evidence
 from decoder.model import DecoderModel, fit_stream, load, make_model, save
 from decoder.montage import MONTAGE_64, canonical, directions
 from decoder.operator import features
+from decoder.spatial import common_average
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +41,8 @@ def test_what_is_saved_comes_back_to_the_bit(model: DecoderModel, file: Path) ->
     loaded = load(file)
     assert loaded.info == model.info
     epoch = np.random.default_rng(1).normal(0, 20, (model.info.n_before + model.info.n_after, 4))
-    before = model.classifier.log_odds(features(epoch, model.operator))
-    assert loaded.classifier.log_odds(features(epoch, loaded.operator)) == before
+    before = model.classifier.log_odds(features(epoch, model.operator, common_average(4)))
+    assert loaded.classifier.log_odds(features(epoch, loaded.operator, common_average(4))) == before
     np.testing.assert_array_equal(loaded.held_out_log_odds, model.held_out_log_odds)
     np.testing.assert_array_equal(loaded.held_out_error, model.held_out_error)
 

@@ -16,6 +16,7 @@ from decoder.chain import design
 from decoder.epochs import Epoch, Shape, cut_recording
 from decoder.operator import chain_operator, features
 from decoder.participant import GAIN_UV, Participant, separation, stratified_normal
+from decoder.spatial import common_average
 
 DATA = Path(os.environ.get("BCI_APP_DATA", Path(__file__).parents[2] / "shared" / "data")) / "eegmmidb_s001"
 
@@ -33,10 +34,10 @@ def watch(person: Participant, n_moves: int, seed: int = 1) -> tuple[np.ndarray,
 def cross_validate(recorded: tuple[np.ndarray, np.ndarray, np.ndarray], sfreq: float, config: ChainConfig) -> Scores:
     samples, onsets, error = recorded
     chain = design(config, sfreq)
-    operator = chain_operator(chain)
+    operator, spatial = chain_operator(chain), common_average(samples.shape[1])
     shape = Shape(sfreq, chain.n_before, chain.n_after, 5e6)
     epochs = cut_recording(samples, np.arange(len(samples)) / sfreq, onsets.tolist(), shape)
-    rows = np.stack([features(epoch.data, operator) for epoch in epochs if isinstance(epoch, Epoch)])
+    rows = np.stack([features(epoch.data, operator, spatial) for epoch in epochs if isinstance(epoch, Epoch)])
     assert len(rows) == len(error)
     classifier = ClassifierConfig()
     return score(held_out_log_odds(rows, error, classifier, stratified_folds(error, classifier)), error)
