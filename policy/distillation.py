@@ -15,8 +15,8 @@ from torch import Tensor, nn
 from bci_app.gridworld import GridWorld
 from policy.belief import Belief
 from policy.descent import Descent, Progress, unheard
-from policy.episodes import Episodes, drawn
-from policy.network import HIDDEN, Network
+from policy.episodes import NEVER, Episodes, drawn
+from policy.network import HIDDEN, Inputs, Network
 from policy.planner import Planner
 from policy.processor import device, mixed_precision, moved
 from policy.simulator import Distribution, Ints, pair_weights
@@ -38,7 +38,7 @@ class DistillationSettings:
     """Steps of each between updates, and the length of back-propagation through time."""
     taught_every: int = 3
     """At one in so many steps of an episode the teacher is asked what it would do; from step to step little changes."""
-    updates: int = 7000
+    updates: int = 10_000
     guided: float = 0.3
     """Share of the updates over which the teacher leads, in half of the episodes at first and in fewer and fewer."""
     learning_rate: float = 3e-3
@@ -98,8 +98,7 @@ class _Segment:
 
     def __init__(self, network: Network, planner: Planner, episodes: Episodes, settings: DistillationSettings) -> None:
         self.network, self.planner, self.episodes, self.settings = network, planner, episodes, settings
-        self.logits: list[Tensor] = []
-        self.features: list[Tensor] = []
+        self.asked: list[tuple[Inputs, Tensor, Tensor]] = []
         self.known: list[_Known] = []
         self.n_ended = 0
 
@@ -115,19 +114,22 @@ class _Segment:
         return hidden
 
     def _step(self, hidden: Tensor, led: int, asked: Ints) -> Tensor:
+        """One move of all. Only the memory is a chain from step to step; what is decided from it to move on is decided
+        once more, for those that are asked alone and of all steps at once, where its gradient is needed."""
         episodes, rows = self.episodes, moved(torch.from_numpy(asked))
-        output = self.network(moved(self.network.look(episodes.world, episodes.simulator.view())), hidden)
-        logits = output.logits.masked_fill(~moved(episodes.legal()), -1e9)
-        self.logits.append(logits.index_select(0, rows))
-        self.features.append(output.features.index_select(0, rows))
+        inputs, legal = moved(self.network.look(episodes.world, episodes.simulator.view())), moved(episodes.legal())
+        hidden = self.network.remember(inputs, hidden)
+        self.asked.append((Inputs(*(part[rows] for part in inputs)), hidden.index_select(0, rows), legal[rows]))
         self.known.append(self._known(asked))
-        actions = drawn(torch.log_softmax(logits.detach(), dim=1).cpu(), episodes.rng)
+        with torch.no_grad():
+            logits = self.network.decide(inputs, hidden).logits.masked_fill(~legal, NEVER)
+            actions = drawn(torch.log_softmax(logits, dim=1).cpu(), episodes.rng)
         if led:
             actions[:led] = self._teach(self._known(np.arange(led))).argmax(dim=1).cpu()
         done = episodes.move(actions.numpy()).done
         episodes.renew(done)
         self.n_ended += int(done.sum())
-        kept: Tensor = output.hidden * moved(torch.from_numpy(~done))[:, None]
+        kept: Tensor = hidden * moved(torch.from_numpy(~done))[:, None]
         return kept
 
     def _known(self, which: Ints) -> "_Known":
@@ -147,10 +149,12 @@ class _Segment:
         """
         beliefs, step, information = zip(*self.known, strict=True)
         belief = Belief.joined(beliefs)
+        seen, hidden, legal = zip(*self.asked, strict=True)
         with mixed_precision():
             taught = self._teach(_Known(belief, np.concatenate(step), np.concatenate(information)))
-            guess = self.network.goal(torch.cat(self.features)).float()
-        imitation = nn.functional.cross_entropy(torch.cat(self.logits), taught)
+            output = self.network.decide(Inputs(*map(torch.cat, zip(*seen, strict=True))), torch.cat(hidden))
+            guess = self.network.goal(output.features).float()
+        imitation = nn.functional.cross_entropy(output.logits.masked_fill(~torch.cat(legal), NEVER), taught)
         goal = nn.functional.cross_entropy(guess, moved(torch.from_numpy(belief.probability)))
         steps = self.settings.n_steps * self.settings.n_episodes / max(self.n_ended, 1)
         figures = {"steps": steps, "imitation": imitation.item(), "goal": goal.item()}

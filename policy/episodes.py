@@ -12,6 +12,7 @@ from policy.verdicts import Draw, Stock
 
 GOAL_REWARD = 20.0  # paper IV.A
 STEP_REWARD = -0.01  # paper IV.A
+NEVER = -1e9  # logit of an illegal action in training: finite, for a gradient goes through it
 
 
 class Episodes:

@@ -145,12 +145,25 @@ class Network(Actor):
 
     def think(self, inputs: Inputs, move: Tensor, cell: Tensor, hidden: Tensor) -> Output:
         """`forward` from rows already looked up, (n, 3 * n_hidden) and (n, WIDTH), for gradients by position."""
+        return self._decide(inputs, cell, self._remember(inputs, move, hidden))
+
+    def remember(self, inputs: Inputs, hidden: Tensor) -> Tensor:
+        """The first half of `forward`: the new memory."""
+        return self._remember(inputs, self.move(inputs.move), hidden)
+
+    def decide(self, inputs: Inputs, hidden: Tensor) -> Output:
+        """The second half of `forward`, from the new memory; of any steps at once, for it remembers nothing itself."""
+        return self._decide(inputs, self.from_cell(inputs.cell), hidden)
+
+    def _remember(self, inputs: Inputs, move: Tensor, hidden: Tensor) -> Tensor:
         gates = (
             move
             + self.judged(inputs.move) * (inputs.evidence / LIMIT)[:, None]
             + self.judged_sure(inputs.move) * torch.tanh(inputs.evidence / 2)[:, None]
         )
-        hidden = self._gru(gates, hidden)
+        return self._gru(gates, hidden)
+
+    def _decide(self, inputs: Inputs, cell: Tensor, hidden: Tensor) -> Output:
         features = torch.relu(cell + self.from_memory(hidden) + self.from_marks(inputs.marks))
         features = torch.relu(self.head(features))
         return Output(self.action(features).float(), features, hidden)

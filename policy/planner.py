@@ -15,7 +15,7 @@ from bci_app.gridworld import N_ACTIONS, GridWorld
 from policy.advantages import clipped_surrogate, generalised_advantages
 from policy.belief import Belief, Nearness
 from policy.descent import Descent, Progress, unheard
-from policy.episodes import Episodes, drawn
+from policy.episodes import NEVER, Episodes, drawn
 from policy.observation import STEP_LIMIT
 from policy.processor import device, mixed_precision, moved
 from policy.replanning import Replanning
@@ -95,7 +95,7 @@ class Planner(nn.Module):
     def log_probabilities(self, situation: Situation, sharpening: float = 1.0) -> Tensor:
         """Of each action, (n, 4); illegal ones so small that they are never drawn."""
         logits = self.correction(self.body(situation.features)).float() * situation.listens + situation.start
-        return torch.log_softmax((sharpening * logits).masked_fill(~situation.legal, -1e9), dim=1)
+        return torch.log_softmax((sharpening * logits).masked_fill(~situation.legal, NEVER), dim=1)
 
     def value(self, situation: Situation, goal: Tensor) -> Tensor:
         """Expected return, (n,), where ``goal``, int64, (n,), is known."""

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from bci_app.gridworld import N_ACTIONS, GridWorld
 from policy.coverage import Ints
 from policy.descent import Descent, Progress, unheard
+from policy.episodes import NEVER
 from policy.network import Inputs, Network, perceived, sensing
 from policy.observation import GOAL_NEXT, View
 from policy.processor import device, mixed_precision, moved
@@ -102,22 +103,32 @@ class Walk:
 
 
 def _go_through(network: Network, walk: Walk, rng: np.random.Generator, what_if: float) -> tuple[Tensor, float]:
-    """The loss over all steps of all paths, and the share of steps that are known."""
-    hidden = torch.zeros(len(walk.legal[0]), network.n_hidden, device=device())
-    logits, imagined, next_door = [], [], []
+    """The loss over all steps of all paths, and the share of steps that are known.
+
+    Only the memory is a chain from step to step; what is decided from it is decided at all steps at once.
+    """
+    imagined = np.flatnonzero(rng.random(len(walk.inputs)) < what_if)
+    memory: list[Tensor] = []
     with mixed_precision():
-        for step, inputs in enumerate(walk.inputs):
-            if rng.random() < what_if:
-                towards = moved(torch.multinomial(walk.legal[step].float().cpu(), 1)[:, 0])
-                imagined.append(network(sensing(inputs, towards + GOAL_NEXT), hidden).logits)
-                next_door.append(towards)
-            output = network(inputs, hidden)
-            logits.append(output.logits)
-            hidden = output.hidden
-    chosen = torch.stack(logits).masked_fill(~walk.legal, -1e9)
-    loss = nn.functional.cross_entropy(chosen.flatten(0, 1), walk.taught.flatten(), ignore_index=DONE)
-    if imagined:
-        loss = loss + nn.functional.cross_entropy(torch.cat(imagined), torch.cat(next_door))
-    told = walk.taught != DONE
-    known = float((chosen.argmax(dim=2)[told] == walk.taught[told]).float().mean())
+        hidden = torch.zeros(len(walk.legal[0]), network.n_hidden, device=device())
+        for inputs in walk.inputs:
+            hidden = network.remember(inputs, hidden)
+            memory.append(hidden)
+        chosen = network.decide(_joined(walk.inputs), torch.cat(memory)).logits
+    chosen = chosen.masked_fill(~walk.legal.flatten(0, 1), NEVER)
+    taught = walk.taught.flatten()
+    loss = nn.functional.cross_entropy(chosen, taught, ignore_index=DONE)
+    if len(imagined):
+        towards = moved(torch.multinomial(walk.legal[imagined].flatten(0, 1).float().cpu(), 1)[:, 0])
+        inputs = sensing(_joined([walk.inputs[step] for step in imagined]), towards + GOAL_NEXT)
+        with mixed_precision():
+            next_door = network.decide(inputs, torch.cat([memory[step] for step in imagined])).logits
+        loss = loss + nn.functional.cross_entropy(next_door, towards)
+    told = taught != DONE
+    known = float((chosen.argmax(dim=1)[told] == taught[told]).float().mean())
     return loss, known
+
+
+def _joined(steps: list[Inputs]) -> Inputs:
+    """The inputs of some steps, one after another."""
+    return Inputs(*map(torch.cat, zip(*steps, strict=True)))

@@ -85,10 +85,10 @@ def test_every_episode_begins_with_an_empty_memory():
     starts = []
 
     class Watched(Network):
-        def forward(self, inputs, hidden):
+        def remember(self, inputs, hidden):
             """One step; notes the memories that episodes begin with."""
             starts.append(hidden[inputs.marks[:, -2] == 0])
-            return super().forward(inputs, hidden)
+            return super().remember(inputs, hidden)
 
     distil(RING, planner(), anybody, replace(QUICK, updates=4), network=Watched(RING.n_cells, 8))
     begun = torch.cat(starts[1:])  # after the very first step

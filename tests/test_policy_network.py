@@ -12,6 +12,7 @@ from policy.network import (
     HIDDEN,
     N_MARKS,
     PAPER_SCALARS,
+    Inputs,
     Network,
     PaperNetwork,
     action_log_probabilities,
@@ -115,6 +116,20 @@ def test_thinking_from_rows_looked_up_is_the_same_step():
     thought = network.think(inputs, network.move(inputs.move), network.from_cell(inputs.cell), hidden)
     for one, other in zip(network(inputs, hidden), thought, strict=True):
         assert torch.equal(one, other)
+
+
+def test_what_is_decided_of_many_steps_at_once_is_what_is_decided_step_by_step():
+    torch.manual_seed(0)
+    network, hidden = Network(RING.n_cells), torch.randn(6, HIDDEN)
+    steps = [network.look(RING, in_the_middle().simulator.view()) for _ in range(3)]
+    outputs, memory = [], []
+    for inputs in steps:
+        outputs.append(network(inputs, hidden))
+        hidden = network.remember(inputs, hidden)
+        memory.append(hidden)
+    together = network.decide(Inputs(*map(torch.cat, zip(*steps, strict=True))), torch.cat(memory))
+    for one, other in zip(zip(*outputs, strict=True), together, strict=True):
+        torch.testing.assert_close(torch.cat(one), other)
 
 
 def test_our_gru_is_a_gru():
