@@ -26,8 +26,10 @@ def two_classes(n: int = 300, n_features: int = 40, distance: float = 1.5, seed:
     return features, error
 
 
-def test_weights_and_bias_are_scikit_learns() -> None:
-    features, error = two_classes()
+@pytest.mark.parametrize(("n", "n_features"), [(300, 40), (120, 200)])  # fewer epochs than features, as here, too
+def test_weights_and_bias_are_scikit_learns(n: int, n_features: int) -> None:
+    features, error = two_classes(n, n_features)
+    features[:, 3] = 7.0  # a channel that never changes
     lda = LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto", priors=[0.5, 0.5]).fit(features, error)
     classifier = fit(features, error, 0.5)
     found = [classifier.log_odds(row) for row in features]
