@@ -51,7 +51,7 @@ class Settings:
         return cls(
             teacher=PlannerSettings(updates=0),
             search=RecitationSettings(updates=250),
-            told=DistillationSettings(updates=1400),
+            told=DistillationSettings(updates=2600),
         )
 
     def with_(self, updates: int | None, seed: int, wanted: Sequence[Verdicts] | None = None) -> Self:
