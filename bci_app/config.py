@@ -73,6 +73,9 @@ class EegConfig(Section):
     """Largest relative difference of the measured from the nominal rate (decided)."""
     max_uv: Annotated[float, Field(gt=0)] = 5_000_000.0
     """Samples beyond this many microvolts are not EEG but a wrong unit or a broken channel (decided)."""
+    max_band_uv: Annotated[float, Field(gt=0)] = 500.0
+    """A feature beyond this many microvolts, in the decoder's band and after repair, is an artefact: blinks and all,
+    the real EEG we measured reaches 341 (decided)."""
     buffer_s: Annotated[float, Field(ge=10)] = 60.0
 
 
@@ -93,6 +96,15 @@ class ChainConfig(Section):
         if not self.low_hz < self.high_hz < self.sfreq / 2:
             raise ValueError("low_hz must be below high_hz, and high_hz below half of sfreq")
         return self
+
+
+class EyesConfig(Section):
+    """Ocular correction, learnt from the calibration."""
+
+    correct: Literal["auto", "always", "never"] = "auto"
+    """`auto` corrects where there are electrodes and eye movements to learn it from, and says so where not."""
+    learn_s: Annotated[float, Field(gt=0)] = 600.0
+    """Seconds of EEG it is learnt from, at most: 100 blinks (decided)."""
 
 
 class ClassifierConfig(Section):
@@ -148,6 +160,7 @@ class Config(Section):
     online: OnlineConfig = OnlineConfig()
     eeg: EegConfig = EegConfig()
     chain: ChainConfig = ChainConfig()
+    eyes: EyesConfig = EyesConfig()
     classifier: ClassifierConfig = ClassifierConfig()
     policy: PolicyConfig = PolicyConfig()
     simulation: SimulationConfig = SimulationConfig()

@@ -1,7 +1,7 @@
 """Recorded calibration in, decoder file out."""
 
 from collections import Counter
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from bci_app.config import Config
 from bci_app.errors import SetupError
 from bci_app.metrics import truths
-from bci_app.moves import Move, cut_moves
+from bci_app.moves import Move, cut_moves, electrodes, judges
+from bci_app.ocular import Learnt, learn
 from bci_app.progress import Progress
 from bci_app.protocol import SessionStart
 from bci_app.recording import Recording, read
@@ -19,7 +20,9 @@ from bci_app.runs import check_untouched, checksum, eeg_type, read_sidecar
 from decoder import calibration, model
 from decoder.chain import design
 from decoder.epochs import Epoch, Rejection
-from decoder.judge import Judge, judge_without
+from decoder.judge import judge_without
+from decoder.operator import features
+from decoder.spatial import ocular
 
 
 def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> dict[str, Any]:
@@ -40,58 +43,94 @@ def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> d
     if opening[0][1].task != "calibration":
         raise SetupError(f"{path} is an {opening[0][1].task} run; a decoder is fitted on a calibration. Give that one.")
     progress("cutting epochs", 1, 3)
-    judge = judge_without(config, recording.eeg, opening[0][1].session)
-    moves = cut_moves(recording, judge.shape)
-    features, error = _labelled(recording, judge, moves)
+    epochs = labelled(recording, config)
     progress("cross-validating", 2, 3)
-    result = calibration.calibrate(features, error, config.classifier)
+    result = calibration.calibrate(epochs.features, epochs.error, config.classifier)
     fitted = model.make_model(
         result,
-        error,
+        epochs.error,
         design(config.chain, recording.eeg.sfreq),
         config.classifier,
         participant=opening[0][1].participant,
         channels=recording.eeg.picked,
-        n_rejected=len(moves) - len(error),
+        n_rejected=len(epochs.moves) - len(epochs.error),
+        eyes=epochs.eyes.eyes,
+        on_eyes=epochs.eyes.reason,
+        ocular=_by_eyes_alone(epochs, config),
         recording_sha256=checksum(path),
     )
     target = _free_name(path)
     model.save(fitted, target)
     progress("done", 3, 3)
-    figures = {**_figures(result, moves, len(error)), "evidence": asdict(fitted.info.evidence)}
+    figures = _figures(result, epochs) | {
+        "evidence": asdict(fitted.info.evidence),
+        "eyes": {"correction": fitted.info.eyes, "alone": fitted.info.ocular},
+    }
     return {"calibration": figures, "model": str(target)}
 
 
-def labelled_features(recording: Recording, config: Config) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Features (n_valid, n_features), uV, of a recording's valid epochs, and whether each move was an error."""
-    judge = judge_without(config, recording.eeg, "")
-    return _labelled(recording, judge, cut_moves(recording, judge.shape))
+@dataclass(frozen=True, eq=False)
+class Labelled:
+    """A recording's valid epochs with their truth.
+
+    Attributes
+    ----------
+    moves : all moves; `reasons` why some have no epoch that can be judged.
+    features, error : float64, (n_valid, n_features), uV, and bool, (n_valid,), whether each move was an error.
+    eyes : the ocular correction that was applied.
+    ocular : float64, (n_valid, n_sources * n_windows), the same windows of the ocular sources alone.
+    """
+
+    moves: list[Move]
+    reasons: Counter[str]
+    features: NDArray[np.float64]
+    error: NDArray[np.bool_]
+    eyes: Learnt
+    ocular: NDArray[np.float64]
 
 
-def _labelled(recording: Recording, judge: Judge, moves: list[Move]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    known = truths(recording)
-    valid = [
-        (judge.features(move.result), known[move.episode, move.step])
-        for move in moves
-        if isinstance(move.result, Epoch) and (move.episode, move.step) in known
-    ]
-    return np.array([row for row, _ in valid]), np.array([error for _, error in valid], dtype=bool)
+def labelled(recording: Recording, config: Config) -> Labelled:
+    """Cut a calibration's epochs, with the electrodes repaired that were found bad and the eyes regressed out."""
+    decisions, known = electrodes(recording), truths(recording)
+    eyes = learn(recording, decisions, config.eyes)
+    correction = ocular(eyes.eyes.weights, eyes.eyes.sources) if eyes.eyes else None
+    judge = judge_without(config, recording.eeg, "", correction)
+    judge_of, moves = judges(judge, decisions), cut_moves(recording, judge.shape)
+    rows, by_eyes, error, reasons = [], [], [], Counter[str]()
+    for move in moves:
+        key, row = (move.episode, move.step), judge_of(move.episode).features(move.result)
+        if isinstance(row, Rejection):
+            reasons[row.reason] += 1
+        elif key in known and isinstance(move.result, Epoch):
+            rows.append(row)
+            error.append(known[key])
+            if eyes.alone is not None:
+                by_eyes.append(features(move.result.data, judge.operator, eyes.alone))
+    return Labelled(moves, reasons, np.array(rows), np.array(error, dtype=bool), eyes, np.array(by_eyes))
 
 
-def _figures(result: calibration.Calibration, moves: list[Move], n_valid: int) -> dict[str, Any]:
+def _by_eyes_alone(epochs: Labelled, config: Config) -> calibration.Scores | None:
+    """What the eyes alone tell, in contiguous folds; None without ocular electrodes."""
+    if not len(epochs.ocular):
+        return None
+    folds = calibration.contiguous_folds(epochs.error, config.classifier)
+    log_odds = calibration.held_out_log_odds(epochs.ocular, epochs.error, config.classifier, folds)
+    return calibration.score(log_odds, epochs.error)
+
+
+def _figures(result: calibration.Calibration, epochs: Labelled) -> dict[str, Any]:
     """Plain accuracy flatters where one class is rare, so balanced accuracy and AUC always stand beside it."""
     tenfold, blocked = result.tenfold.as_dict(), result.blocked.as_dict()
-    reasons = Counter(move.result.reason for move in moves if isinstance(move.result, Rejection))
     return {
-        "n_moves": len(moves),
-        "n_valid": n_valid,
+        "n_moves": len(epochs.moves),
+        "n_valid": len(epochs.error),
         "n_error": result.tenfold.n_error,
         "n_correct": result.tenfold.n_correct,
         **{name: tenfold[name]["value"] for name in ("accuracy", "balanced_accuracy", "auc")},
         **{name: tenfold[name]["value"] for name in ("hit_rate", "correct_rejection_rate")},
         "tenfold": tenfold,
         "blocked": blocked,
-        "rejected": dict(reasons),
+        "rejected": dict(epochs.reasons),
     }
 
 

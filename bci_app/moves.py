@@ -1,10 +1,14 @@
 """The epochs of a recorded run, cut by the very functions that cut them live."""
 
+from bisect import bisect_right
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
-from bci_app.protocol import MoveOnset, Verdict
+from bci_app.protocol import Electrodes, MoveOnset, Verdict
 from bci_app.recording import Recording
 from decoder.epochs import Epoch, Rejection, Shape, cut_recording
+from decoder.judge import Judge
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,3 +36,28 @@ def cut_moves(recording: Recording, shape: Shape) -> list[Move]:
     microvolts = recording.eeg.in_microvolts(recording.samples)
     results = cut_recording(microvolts, recording.times, times, shape)
     return [Move(*key, offsets.get(key, 0.0), result) for key, result in zip(keys, results, strict=True)]
+
+
+def judges(judge: Judge, decisions: dict[int, Electrodes]) -> Callable[[int], Judge]:
+    """From an episode to the judge of its moves: `judge`, with the electrodes repaired that were found bad before it.
+
+    Parameters
+    ----------
+    decisions : by episode; none where the decoder that recorded made none.
+    """
+    decided = sorted(decisions)
+
+    @cache
+    def without(bad: tuple[str, ...]) -> Judge:
+        return judge.with_bad(bad)
+
+    def of(episode: int) -> Judge:
+        place = bisect_right(decided, episode)
+        return without(tuple(sorted(decisions[decided[place - 1]].bad))) if place else judge
+
+    return of
+
+
+def electrodes(recording: Recording) -> dict[int, Electrodes]:
+    """What was decided about the electrodes before each episode."""
+    return {decision.episode: decision for _, decision in recording.of(Electrodes)}

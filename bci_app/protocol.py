@@ -9,8 +9,9 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-PROTOCOL_VERSION: Literal[2] = 2
-"""What we send. Version 1 is still read: it is the same without `Verdict.evidence`, and calibrations are kept in it."""
+PROTOCOL_VERSION: Literal[3] = 3
+"""What we send. Older ones are still read, for calibrations are kept in them: 2 is the same without `Electrodes`, 1
+also without `Verdict.evidence`."""
 
 Position = tuple[int, int]
 """(row, column), both from 0, row 0 in the north."""
@@ -27,7 +28,7 @@ class Message(BaseModel):
     """What all messages carry. Immutable; unknown fields are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    protocol: Literal[1, 2] = PROTOCOL_VERSION
+    protocol: Literal[1, 2, 3] = PROTOCOL_VERSION
     session: str
 
 
@@ -137,6 +138,20 @@ class Truth(Message):
     distance: Index
 
 
+class Electrodes(Message):
+    """Which channels are bad, as the decoder found at an episode's start; they are repaired from the others until the
+    next. Looked at are the `n_samples` EEG samples that end with the one stamped `last_time`; none where there were too
+    few."""
+
+    type: Literal["Electrodes"] = "Electrodes"
+    episode: Index
+    bad: dict[str, list[str]] = {}
+    """Faults of each bad channel, as `decoder.quality.Fault`."""
+    last_time: float | None = None
+    """Raw stamp of the newest sample looked at."""
+    n_samples: Index = 0
+
+
 class Verdict(Message):
     """The decoder's word on a move. Stamp: session time at which it was pushed.
 
@@ -221,6 +236,7 @@ AnyMessage = (
     | RunSeed
     | EpisodeGoal
     | Truth
+    | Electrodes
     | Verdict
     | Action
     | Status

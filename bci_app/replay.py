@@ -1,7 +1,7 @@
 """A recorded run through the same functions once more: every verdict and every action must come out the same.
 
-Verdicts are recomputed from the recorded samples and onsets; actions from the recorded moves and the recomputed
-verdicts, so a difference anywhere in the chain shows.
+What is decided about the electrodes, and verdicts, are recomputed from the recorded samples and onsets; actions from
+the recorded moves and the recomputed verdicts, so a difference anywhere in the chain shows.
 """
 
 from collections.abc import Iterator
@@ -11,12 +11,12 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from bci_app.config import validated
+from bci_app.config import Config, validated
 from bci_app.errors import SetupError
 from bci_app.gridworld import GridWorld, compile_map
-from bci_app.moves import cut_moves
+from bci_app.moves import cut_moves, electrodes, judges
 from bci_app.progress import Progress
-from bci_app.protocol import Action, EpisodeEnd, EpisodeStart, MoveOnset, SessionStart, Verdict
+from bci_app.protocol import Action, Electrodes, EpisodeEnd, EpisodeStart, MoveOnset, SessionStart, Verdict
 from bci_app.recording import Recording, read
 from bci_app.runs import check_untouched, checksum, eeg_type, read_sidecar
 from bci_app.told import Told
@@ -29,8 +29,8 @@ class Compared:
     """Two messages that should be equal, and whether they are to the bit."""
 
     key: Key
-    recorded: Verdict | Action | None
-    replayed: Verdict | Action | None
+    recorded: Verdict | Action | Electrodes | None
+    replayed: Verdict | Action | Electrodes | None
 
     @property
     def equal(self) -> bool:
@@ -45,8 +45,9 @@ def replay(
 ) -> dict[str, Any]:
     """Replay a recording and compare.
 
-    Returns ``replay`` {verdicts, verdicts_equal, actions, actions_equal}, ``seconds``, and ``differences``, the first
-    few in words. Raises SetupError for an unusable recording, or a model or policy that isn't the one of the run.
+    Returns ``replay``, of ``electrodes``, ``verdicts`` and ``actions`` how many there are and (``..._equal``) how many
+    are equal, ``seconds``, and ``differences``, the first few in words. Raises SetupError for an unusable recording, or
+    a model or policy that isn't the one of the run.
     """
     started = perf_counter()
     progress("reading the recording", 0, 3)
@@ -58,15 +59,19 @@ def replay(
     if not opening:
         raise SetupError(f"{path} holds no SessionStart message: it isn't a whole run of this experiment.")
     progress("replaying verdicts", 1, 3)
-    verdicts = list(_verdicts(recording, sidecar, model))
+    config = validated(sidecar.get("config", {}), f"the sidecar of {recording.path}")
+    decisions = list(_electrodes(recording))
+    verdicts = list(_verdicts(recording, sidecar, config, model, decisions))
     progress("replaying actions", 2, 3)
     is_online = opening[0][1].task == "online"
     told = sidecar.get("told") or _told_by(_file_of_run(path, sidecar, "model", model))
     actions = list(_actions(recording, sidecar, policy, told, opening[0][1], verdicts)) if is_online else []
     progress("done", 3, 3)
-    differences = [_sentence(pair) for pair in chain(verdicts, actions) if not pair.equal]
+    differences = [_sentence(pair) for pair in chain(decisions, verdicts, actions) if not pair.equal]
     return {
         "replay": {
+            "electrodes": len(decisions),
+            "electrodes_equal": sum(pair.equal for pair in decisions),
             "verdicts": len(verdicts),
             "verdicts_equal": sum(pair.equal for pair in verdicts),
             "actions": len(actions),
@@ -80,21 +85,36 @@ def replay(
 def is_equal(result: dict[str, Any]) -> bool:
     """Whether a replay's result says that everything agrees."""
     counts = result["replay"]
-    same: bool = counts["verdicts"] == counts["verdicts_equal"] and counts["actions"] == counts["actions_equal"]
-    return same
+    return all(counts[what] == counts[f"{what}_equal"] for what in ("electrodes", "verdicts", "actions"))
 
 
-def _verdicts(recording: Recording, sidecar: dict[str, Any], model: Path | None) -> Iterator[Compared]:
+def _electrodes(recording: Recording) -> Iterator[Compared]:
+    from decoder.electrodes import Examiner
+
+    recorded = electrodes(recording)
+    if not recorded:
+        return
+    eeg = recording.eeg
+    examiner = Examiner(next(iter(recorded.values())).session, eeg.picked, eeg.sfreq)
+    microvolts = eeg.in_microvolts(recording.samples)
+    for episode, decision in recorded.items():
+        yield Compared((episode, 0), decision, examiner.again(decision, microvolts, recording.times))
+
+
+def _verdicts(
+    recording: Recording, sidecar: dict[str, Any], config: Config, model: Path | None, decisions: list[Compared]
+) -> Iterator[Compared]:
     from decoder.judge import judge_with, judge_without
     from decoder.model import load
 
-    config = validated(sidecar.get("config", {}), f"the sidecar of {recording.path}")
     path = _file_of_run(recording.path, sidecar, "model", model)
     recorded = {(verdict.episode, verdict.step): verdict for _, verdict in recording.of(Verdict)}
     session = next(iter(recorded.values())).session if recorded else ""
     unfinished = _last_of_aborted(recording)
     eeg = recording.eeg
     judge = judge_with(load(path), config, eeg, session) if path else judge_without(config, eeg, session)
+    bad = {pair.key[0]: pair.replayed for pair in decisions if isinstance(pair.replayed, Electrodes)}
+    judge_of = judges(judge, bad)
     for move in cut_moves(recording, judge.shape):
         key = (move.episode, move.step)
         before = recorded.get(key)
@@ -104,7 +124,7 @@ def _verdicts(recording: Recording, sidecar: dict[str, Any], model: Path | None)
             continue
         if before is None and key in unfinished:
             continue
-        yield Compared(key, before, judge.verdict(key, move.result, move.clock_offset))
+        yield Compared(key, before, judge_of(move.episode).verdict(key, move.result, move.clock_offset))
 
 
 def _actions(
@@ -187,11 +207,11 @@ def _file_of_run(recording: Path, sidecar: dict[str, Any], what: str, given: Pat
     )
 
 
-def _timeless(message: Verdict | Action) -> dict[str, Any]:
+def _timeless(message: Verdict | Action | Electrodes) -> dict[str, Any]:
     # Exact comparison: equal floats here are equal bits, for neither zero's sign nor NaN can occur.
     return message.model_dump(exclude={"latency_ms", "protocol"})
 
 
 def _sentence(pair: Compared) -> str:
-    what = "verdict" if isinstance(pair.recorded or pair.replayed, Verdict) else "action"
+    what = type(pair.recorded or pair.replayed).__name__.lower()
     return f"{what} of episode {pair.key[0]}, step {pair.key[1]}: recorded {pair.recorded}, replayed {pair.replayed}"

@@ -46,6 +46,8 @@ HEARTBEAT_TIMEOUT_S = 10.0
 """Real seconds without a word from a process that speaks every second: it hangs, or its machine is gone."""
 LEAD_CYCLES = 4.5
 """EEG recorded before the first move, in periods of the chain's lowest frequency: its FIR is 3.3 long (MNE's rule)."""
+LEAD_S = 8.0
+"""Session seconds of EEG recorded before the first message, at least: the electrodes are judged on the last six."""
 REJECTED_IN_A_ROW = 10
 """Moves in a row without a valid epoch after which going on would only waste the participant's time (decided)."""
 ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -177,7 +179,7 @@ class _Conductor:
         self._await(lambda: len(self.inlets) == len(self.plan.roles), self._connect, "processes to appear")
         self._await(self.heard.all_ready, lambda: None, "processes to be ready")
         self._record()
-        lead_until = self.clock.now() + LEAD_CYCLES / self.config.chain.low_hz
+        lead_until = self.clock.now() + max(LEAD_CYCLES / self.config.chain.low_hz, LEAD_S)
         self._await(lambda: self.clock.now() > lead_until, lambda: None, "EEG before the first move")
 
     def _arguments(self, role: Role) -> list[str]:

@@ -11,7 +11,7 @@ import time
 import mne
 import numpy as np
 
-from bci_app.config import ChainConfig, EegConfig
+from bci_app.config import ChainConfig
 from decoder.chain import design
 from decoder.epochs import Epoch, Shape, cut_recording
 from decoder.montage import MONTAGE_64, template
@@ -29,7 +29,7 @@ def with_operator(samples: np.ndarray, onsets: np.ndarray, repaired: bool) -> tu
     """Features (n_moves, 960), and the seconds for the features alone and together with the cutting."""
     chain = design(ChainConfig(), SFREQ)
     operator, spatial = chain_operator(chain), full_spatial(samples) if repaired else common_average(len(MONTAGE_64))
-    shape = Shape(SFREQ, chain.n_before, chain.n_after, EegConfig().max_uv)
+    shape = Shape(SFREQ, chain.n_before, chain.n_after)
     times = np.arange(len(samples)) / SFREQ
     began = time.perf_counter()
     epochs = cut_recording(samples, times, onsets.tolist(), shape)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import skew
 
-from bci_app.config import ChainConfig, ClassifierConfig, EegConfig
+from bci_app.config import ChainConfig, ClassifierConfig
 from decoder import participant as simulated
 from decoder.calibration import held_out_log_odds, score, stratified_folds
 from decoder.chain import design
@@ -47,7 +47,7 @@ def measure(seed: int, decodability: float, n_blocks: int = 2, phase: str = "min
     samples, onsets, error = record(person, n_blocks, seed)
     speed = len(samples) / person.sfreq / (time.perf_counter() - began)
     chain = design(ChainConfig(phase=phase), person.sfreq)
-    shape = Shape(person.sfreq, chain.n_before, chain.n_after, EegConfig().max_uv)
+    shape = Shape(person.sfreq, chain.n_before, chain.n_after)
     operator, spatial = chain_operator(chain), common_average(len(person.names))
     epochs = cut_recording(samples, np.arange(len(samples)) / person.sfreq, onsets.tolist(), shape)
     rows = np.stack([features(epoch.data, operator, spatial) for epoch in epochs if isinstance(epoch, Epoch)])

@@ -86,7 +86,7 @@ class Laboratory:
 
     def auc(self, samples: Array, onsets: Array, error: NDArray[np.bool_], spatial: Array) -> float:
         """AUC of held-out verdicts with this spatial matrix."""
-        shape = Shape(500.0, self.chain.n_before, self.chain.n_after, 5e6)
+        shape = Shape(500.0, self.chain.n_before, self.chain.n_after)
         epochs = cut_recording(samples, np.arange(len(samples)) / 500.0, onsets.tolist(), shape)
         rows = np.stack([features(epoch.data, self.operator, spatial) for epoch in epochs if isinstance(epoch, Epoch)])
         config = ClassifierConfig()

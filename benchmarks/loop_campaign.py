@@ -19,7 +19,7 @@ from rich.table import Table
 
 from bci_app import metrics
 from bci_app.config import Config
-from bci_app.fitting import labelled_features
+from bci_app.fitting import labelled
 from bci_app.recording import read
 from decoder.calibration import calibrate, permuted_accuracies
 
@@ -97,13 +97,15 @@ def controls(campaign: Campaign, table: Table) -> None:
     path = Path(campaign.fitted(0.90, 1)["recording"])
     settings = Config()
     recording = read(path)
-    features, error = labelled_features(recording, settings)
+    epochs = labelled(recording, settings)
+    features, error = epochs.features, epochs.error
     chance = permuted_accuracies(features, error, settings.classifier, 20, np.random.default_rng(0))
     low, high = np.percentile(chance, (2.5, 97.5))
     text = f"{chance.mean():.3f} [{low:.3f}, {high:.3f}] over 20 permutations"
     table.add_row("CV balanced accuracy, labels permuted", text)
     before = settings.model_copy(update={"chain": settings.chain.model_copy(update={"start_ms": -450.0})})
-    scores = calibrate(*labelled_features(recording, before), settings.classifier)
+    epochs = labelled(recording, before)
+    scores = calibrate(epochs.features, epochs.error, settings.classifier)
     for name, found in (("tenfold", scores.tenfold), ("contiguous", scores.blocked)):
         value = found.balanced_accuracy
         table.add_row(f"450 ms before the move, {name} folds", f"{value.value:.3f} [{value.low:.3f}, {value.high:.3f}]")

@@ -1,7 +1,8 @@
 """Epochs cut from raw samples by raw time stamps: live through `EpochBuffer`, from a recording through `cut_recording`.
 
 Both end in `locate`, which looks at samples at fixed places around the onset and at nothing else, so an epoch is the
-same to the bit however the samples were chunked, whenever the marker came, and whatever else is buffered.
+same to the bit however the samples were chunked, whenever the marker came, and whatever else is buffered. Only times
+are looked at, for gaps; what is in the samples is the affair of `decoder.judge`.
 """
 
 from collections.abc import Hashable, Sequence
@@ -27,13 +28,11 @@ class Shape:
     ----------
     sfreq : float, nominal rate, Hz.
     n_before, n_after : int, samples before the onset's sample, and from it on.
-    max_uv : float, largest absolute value that is EEG, uV.
     """
 
     sfreq: float
     n_before: int
     n_after: int
-    max_uv: float
 
     @property
     def n_raw(self) -> int:
@@ -143,7 +142,7 @@ def _cut(segment: Segment, onset: float, shape: Shape) -> Epoch | Rejection | No
         return outside
     if stretch.stop > len(segment.times):
         return None
-    return _checked(segment.samples[stretch], segment.times[stretch], shape)
+    return _whole(segment.samples[stretch], segment.times[stretch], shape)
 
 
 def _outside(segment: Segment, stretch: slice, onset: float) -> Rejection | None:
@@ -158,18 +157,12 @@ def _outside(segment: Segment, stretch: slice, onset: float) -> Rejection | None
     return None
 
 
-def _checked(samples: NDArray[np.floating], times: Array, shape: Shape) -> Epoch | Rejection:
+def _whole(samples: NDArray[np.floating], times: Array, shape: Shape) -> Epoch | Rejection:
     gap = find_gap(times, shape.sfreq)
     if gap is not None:
         place = (gap[0] - shape.n_before) / shape.sfreq
         return Rejection(f"gap: {gap[1]:+.1f} samples {place:+.3f} s from the onset")
-    data = np.ascontiguousarray(samples, dtype=np.float64)
-    largest = float(np.maximum(data.max(), -data.min()))
-    if not np.isfinite(largest):
-        return Rejection("samples that are not finite numbers")
-    if largest > shape.max_uv:
-        return Rejection(f"{largest:.0f} uV is beyond {shape.max_uv:.0f} uV")
-    return Epoch(data, float(times[0]), float(times[-1]))
+    return Epoch(np.ascontiguousarray(samples, dtype=np.float64), float(times[0]), float(times[-1]))
 
 
 class EpochBuffer(Generic[Key]):
@@ -227,6 +220,11 @@ class EpochBuffer(Generic[Key]):
         """Reject every onset still waiting; `poll` returns them."""
         self._finished += [(key, Rejection(reason, by_time=True)) for key in self._waiting]
         self._waiting.clear()
+
+    def trailing(self, n: int) -> tuple[NDArray[np.floating], Array]:
+        """The newest samples over which time runs forward, up to `n`: (n_times, n_channels) and (n_times,), views."""
+        kept = max(0, self._end - self._capacity, self._end - n, self._starts[-1][0] if self._starts else 0)
+        return self._samples[kept : self._end], self._times[kept : self._end]
 
     @property
     def n_waiting(self) -> int:

@@ -59,12 +59,12 @@ class Eyes:
     sources : float64, (n_sources, n_channels): ``sources @ sample`` is how large each is, in standard deviations of
         what it is while the eyes rest. Combinations of `ocular_sources`, the strongest first.
     weights : float64, (n_channels, n_sources), uV seen for 1 of a source; ``sources @ weights`` is the identity.
-    seconds : time with eye movements in it that was learnt from, s.
+    seconds : time with eye movements in it that was learnt from, s; NaN where that isn't known any more.
     """
 
     sources: Array
     weights: Array
-    seconds: float
+    seconds: float = np.nan
 
 
 def ocular_sources(channels: Sequence[str]) -> tuple[tuple[str, ...], Array]:

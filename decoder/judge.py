@@ -1,20 +1,23 @@
 """From an epoch to a verdict. The live decoder and the replay call this and nothing else."""
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bci_app.config import Config
+from bci_app.config import Config, EegConfig
 from bci_app.eeg import EegDescription
+from bci_app.errors import SetupError
 from bci_app.protocol import Verdict
 from decoder.chain import design
 from decoder.classifier import LinearClassifier
 from decoder.epochs import Epoch, Rejection, Shape
 from decoder.evidence import Evidence
+from decoder.eyes import eeg_outputs
 from decoder.model import DecoderModel, fit_stream
 from decoder.operator import chain_operator, digest, features
-from decoder.spatial import common_average, compose
+from decoder.spatial import Montage, ocular
 
 MoveKey = tuple[int, int]
 """(episode, step)."""
@@ -22,41 +25,74 @@ MoveKey = tuple[int, int]
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """Everything fixed about how verdicts are made on one stream.
+    """Everything fixed about how verdicts are made on one stream, while the same electrodes are bad.
 
     Attributes
     ----------
     session : goes into every verdict.
     shape : what an epoch must look like.
+    limits : what its values may be.
     operator : (n_raw, n_windows).
-    spatial : (n_channels, n_stream), from the stream's EEG channels to the decoder's; the same for a whole block.
+    montage : the decoder's channels on the stream.
+    spatial : (n_outputs, n_stream), what acts across channels; `with_bad` replaces it.
+    unusable : why no epoch can be judged with these electrodes, or None.
     classifier, evidence : None in a calibration, when epochs are only checked.
     """
 
     session: str
     shape: Shape
+    limits: EegConfig
     operator: NDArray[np.float64]
+    montage: Montage
     spatial: NDArray[np.float64]
+    unusable: str | None
     classifier: LinearClassifier | None
     evidence: Evidence | None
 
-    def features(self, epoch: Epoch) -> NDArray[np.float64]:
-        """The epoch's features, (n_channels * n_windows,), uV."""
-        return features(epoch.data, self.operator, self.spatial)
+    def with_bad(self, bad: Collection[str]) -> "Judge":
+        """The same with these channels repaired from the others; one that rejects every epoch where they can't be."""
+        try:
+            return replace(self, spatial=self.montage.matrix(bad), unusable=None)
+        except SetupError as error:
+            return replace(self, unusable=str(error))
+
+    def features(self, result: Epoch | Rejection) -> NDArray[np.float64] | Rejection:
+        """The epoch's features, (n_outputs * n_windows,), uV, or why it can't be judged.
+
+        Channels that are bad, or not the decoder's, may deliver anything.
+        """
+        if isinstance(result, Rejection):
+            return result
+        if self.unusable is not None:
+            return Rejection(self.unusable)
+        used = self.spatial.any(axis=0)
+        largest = np.maximum(result.data.max(axis=0), -result.data.min(axis=0))[used]  # NaN if any is
+        if not np.isfinite(largest).all():
+            return Rejection("samples that are not finite numbers")
+        if largest.max() > self.limits.max_uv:
+            return Rejection(f"{largest.max():.0f} uV is beyond {self.limits.max_uv:.0f} uV")
+        vector = features(result.data, self.operator, self.spatial)
+        place = int(np.abs(vector).argmax())
+        size, most = abs(vector[place]), self.limits.max_band_uv
+        if size > most:
+            name = self.montage.channels[self.montage.outputs[place // self.operator.shape[1]]]
+            return Rejection(f"{size:.0f} uV in the decoder's band at {name} is beyond {most:.0f} uV")
+        return vector
 
     def verdict(self, key: MoveKey, result: Epoch | Rejection, clock_offset: float) -> Verdict:
         """The verdict on a move's epoch, or why there is none."""
-        if isinstance(result, Rejection):
+        vector = self.features(result)
+        if isinstance(vector, Rejection):
             return Verdict(
                 session=self.session,
                 episode=key[0],
                 step=key[1],
                 outcome="rejected",
-                reason=result.reason,
-                by_time=result.by_time,
+                reason=vector.reason,
+                by_time=vector.by_time,
                 clock_offset=clock_offset,
             )
-        vector = self.features(result)
+        assert isinstance(result, Epoch)
         log_odds = self.classifier.log_odds(vector) if self.classifier else None
         return Verdict(
             session=self.session,
@@ -75,13 +111,27 @@ class Judge:
 def judge_with(model: DecoderModel, config: Config, eeg: EegDescription, session: str) -> Judge:
     """A judge with a fitted decoder. Raises SetupError when the stream doesn't fit it."""
     info = model.info
-    spatial = compose(len(eeg.picks), fit_stream(model, eeg.name, eeg.picked, eeg.sfreq))
-    shape = Shape(eeg.sfreq, info.n_before, info.n_after, config.eeg.max_uv)
-    return Judge(session, shape, model.operator, spatial, model.classifier, info.evidence)
+    order = fit_stream(model, eeg.name, eeg.picked, eeg.sfreq)
+    eyes = ocular(model.eyes.weights, model.eyes.sources) if model.eyes else None
+    montage = Montage(len(eeg.picks), info.channels, order, eeg_outputs(info.channels), eyes)
+    shape = Shape(eeg.sfreq, info.n_before, info.n_after)
+    return Judge(
+        session,
+        shape,
+        config.eeg,
+        model.operator,
+        montage,
+        montage.matrix(),
+        None,
+        model.classifier,
+        info.evidence,
+    )
 
 
-def judge_without(config: Config, eeg: EegDescription, session: str) -> Judge:
-    """A judge for a calibration: all EEG channels, features but no verdict."""
+def judge_without(config: Config, eeg: EegDescription, session: str, eyes: NDArray[np.float64] | None = None) -> Judge:
+    """A judge for a calibration: all EEG channels, features but no verdict; ``eyes`` from `decoder.spatial.ocular`."""
     chain = design(config.chain, eeg.sfreq)
-    shape = Shape(eeg.sfreq, chain.n_before, chain.n_after, config.eeg.max_uv)
-    return Judge(session, shape, chain_operator(chain), common_average(len(eeg.picks)), None, None)
+    channels = tuple(eeg.picked)
+    montage = Montage(len(channels), channels, np.arange(len(channels)), eeg_outputs(channels), eyes)
+    shape = Shape(eeg.sfreq, chain.n_before, chain.n_after)
+    return Judge(session, shape, config.eeg, chain_operator(chain), montage, montage.matrix(), None, None, None)

@@ -17,16 +17,17 @@ from safetensors.numpy import save as save_tensors
 
 from bci_app.config import ChainConfig, ClassifierConfig
 from bci_app.errors import SetupError
-from decoder.calibration import Calibration
+from decoder.calibration import Calibration, Scores
 from decoder.chain import Chain
 from decoder.classifier import LinearClassifier
 from decoder.evidence import Evidence, calibrate_evidence
+from decoder.eyes import Eyes, eeg_outputs
 from decoder.montage import match_channels
 from decoder.operator import chain_operator
 
 Array = NDArray[np.float64]
 
-FORMAT_VERSION: Literal[2] = 2
+FORMAT_VERSION: Literal[3] = 3
 SUFFIX = ".safetensors"
 _KEY = "bci-app decoder"
 _LIBRARIES = ("numpy", "scipy", "scikit-learn", "mne", "errp-bci")
@@ -37,9 +38,16 @@ class ModelInfo(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    format: Literal[2] = FORMAT_VERSION
+    format: Literal[3] = FORMAT_VERSION
     participant: str
     channels: tuple[str, ...]
+    """All that it takes from a stream, EOG channels too."""
+    n_sources: int = Field(ge=0)
+    """Ocular sources that are regressed out; 0 where the eyes are left in."""
+    eyes: str
+    """On the ocular correction, in words."""
+    ocular: dict[str, Any] | None
+    """`decoder.calibration.Scores` of contiguous folds on the ocular sources alone: what the eyes would tell."""
     sfreq: float = Field(gt=0)
     """Rate of the raw EEG, Hz."""
     unit: Literal["uV"] = "uV"
@@ -69,6 +77,7 @@ class DecoderModel:
     info : what it was made from, and how good it is.
     operator : float64, (n_raw, n_windows).
     classifier : weights and bias on the features of `decoder.operator.features`.
+    eyes : what is regressed out before, or None.
     held_out_log_odds : float64, (n_epochs,), from stratified cross-validation, in the order of the calibration.
     held_out_error : bool, (n_epochs,), the truth about them.
     """
@@ -76,6 +85,7 @@ class DecoderModel:
     info: ModelInfo
     operator: Array
     classifier: LinearClassifier
+    eyes: Eyes | None
     held_out_log_odds: Array
     held_out_error: NDArray[np.bool_]
 
@@ -89,12 +99,21 @@ def make_model(
     participant: str,
     channels: Sequence[str],
     n_rejected: int,
+    eyes: Eyes | None = None,
+    on_eyes: str = "",
+    ocular: Scores | None = None,
     recording_sha256: str = "",
 ) -> DecoderModel:
-    """Put a model together from a calibration and the chain its features came from."""
+    """Put a model together from a calibration and the chain its features came from.
+
+    ``eyes`` were regressed out of them, ``on_eyes`` says why or why not, and ``ocular`` is what they tell alone.
+    """
     info = ModelInfo(
         participant=participant,
         channels=tuple(channels),
+        n_sources=len(eyes.sources) if eyes else 0,
+        eyes=on_eyes,
+        ocular=ocular.as_dict() if ocular else None,
         sfreq=chain.sfreq,
         n_before=chain.n_before,
         n_after=chain.n_after,
@@ -109,7 +128,7 @@ def make_model(
         recording_sha256=recording_sha256,
         versions={"python": platform.python_version(), **{name: _version(name) for name in _LIBRARIES}},
     )
-    return DecoderModel(info, chain_operator(chain), calibration.classifier, calibration.tenfold_log_odds, error)
+    return DecoderModel(info, chain_operator(chain), calibration.classifier, eyes, calibration.tenfold_log_odds, error)
 
 
 def save(model: DecoderModel, path: Path) -> None:
@@ -121,6 +140,8 @@ def save(model: DecoderModel, path: Path) -> None:
         "held_out_log_odds": model.held_out_log_odds,
         "held_out_error": model.held_out_error,
     }
+    if model.eyes:
+        tensors |= {"ocular_sources": model.eyes.sources, "ocular_weights": model.eyes.weights}
     contents = save_tensors(tensors, metadata={_KEY: model.info.model_dump_json()})
     try:
         with path.open("xb") as file:
@@ -144,9 +165,10 @@ def load(path: Path) -> DecoderModel:
         info = ModelInfo.model_validate_json(_metadata(contents))
         return _assemble(info, tensors)
     except (SafetensorError, ValidationError, KeyError, ValueError) as error:
-        if _is_format_1(error):
+        older = _older_format(error)
+        if older is not None:
             raise SetupError(
-                f"{path} is a decoder of format 1, which doesn't tell what its verdicts are worth; this bci-app reads "
+                f"{path} is a decoder of format {older}, which doesn't tell all that is needed; this bci-app reads "
                 f"format {FORMAT_VERSION}. Run `bci-app fit` on the calibration again."
             ) from error
         reason = _first_line(error)
@@ -180,11 +202,16 @@ def fit_stream(model: DecoderModel, name: str, channels: Sequence[str], sfreq: f
 def _assemble(info: ModelInfo, tensors: dict[str, NDArray[Any]]) -> DecoderModel:
     n_windows, n_epochs = info.chain.n_windows, info.n_error + info.n_correct
     operator = _checked(tensors, "operator", "float64", (info.n_before + info.n_after, n_windows))
-    weights = _checked(tensors, "weights", "float64", (len(info.channels) * n_windows,))
+    n_channels = len(info.channels)
+    weights = _checked(tensors, "weights", "float64", (len(eeg_outputs(info.channels)) * n_windows,))
     bias = _checked(tensors, "bias", "float64", (1,))
     log_odds = _checked(tensors, "held_out_log_odds", "float64", (n_epochs,))
     error = _checked(tensors, "held_out_error", "bool", (n_epochs,))
-    return DecoderModel(info, operator, LinearClassifier(weights, float(bias[0])), log_odds, error)
+    eyes = None
+    if info.n_sources:
+        sources = _checked(tensors, "ocular_sources", "float64", (info.n_sources, n_channels))
+        eyes = Eyes(sources, _checked(tensors, "ocular_weights", "float64", (n_channels, info.n_sources)))
+    return DecoderModel(info, operator, LinearClassifier(weights, float(bias[0])), eyes, log_odds, error)
 
 
 def _checked(tensors: dict[str, NDArray[Any]], name: str, dtype: str, shape: tuple[int, ...]) -> NDArray[Any]:
@@ -207,11 +234,14 @@ def _version(name: str) -> str:
         return "unknown"
 
 
-def _is_format_1(error: Exception) -> bool:
+def _older_format(error: Exception) -> int | None:
+    """The format of a file that an older version wrote."""
     if not isinstance(error, ValidationError):
-        return False
-    first = error.errors(include_url=False)[0]
-    return first["loc"] == ("format",) and first["input"] == 1
+        return None
+    for each in error.errors(include_url=False):
+        if each["loc"] == ("format",) and each["input"] in range(1, FORMAT_VERSION):
+            return int(each["input"])
+    return None
 
 
 def _first_line(error: Exception) -> str:

@@ -55,7 +55,8 @@ def features(epoch: NDArray[np.floating], operator: Array, spatial: Array) -> Ar
     -----
     Always one epoch at a time, in the same layout, so that the same samples give the same bits whoever asks.
     """
-    means = _through_time(np.ascontiguousarray(epoch, dtype=np.float64), operator)
+    with np.errstate(invalid="ignore"):  # an unused channel may deliver infinities, and those times zero are invalid
+        means = _through_time(np.ascontiguousarray(epoch, dtype=np.float64), operator)
     means[:, ~spatial.any(axis=0)] = 0.0
     return _across_channels(means, spatial).reshape(-1)
 

@@ -10,8 +10,9 @@ from bci_app.config import Config
 from bci_app.errors import LinkLost, SetupError
 from bci_app.lsl import EegInlet, MessageInlet, find_eeg, local_clock
 from bci_app.peer import Peer
-from bci_app.protocol import STIMULUS, VERDICTS, MoveOnset, SessionEnd
+from bci_app.protocol import STIMULUS, VERDICTS, Electrodes, EpisodeStart, MoveOnset, SessionEnd, SessionStart
 from decoder import model as models
+from decoder.electrodes import RECORDED_S, Examiner, changes
 from decoder.epochs import EpochBuffer
 from decoder.judge import Judge, MoveKey, judge_with, judge_without
 from decoder.timeline import check_rate, measured_rate
@@ -63,7 +64,12 @@ class _Server:
         self._peer = peer
         self._eeg = eeg
         self._judge = judge
-        n_channels = len(eeg.description.picks)
+        picked = eeg.description.picked
+        n_channels = len(picked)
+        self._examiner = Examiner(peer.session, picked, eeg.description.sfreq)
+        self._electrodes: Electrodes | None = None
+        self._recorded_since = -np.inf
+        self._judges: dict[MoveKey, Judge] = {}
         self._buffer: EpochBuffer[MoveKey] = EpochBuffer(judge.shape, n_channels, config.eeg.buffer_s)
         self._offsets: dict[MoveKey, float] = {}
         self._last_sample = local_clock()
@@ -72,9 +78,9 @@ class _Server:
         self._rate_is_off = False
 
     def look(self) -> None:
-        """Take a few seconds of EEG to see that the rate is right and all channels deliver numbers."""
+        """Take a few seconds of EEG to see that it is alive, on LSL's clock and at its rate."""
         description = self._eeg.description
-        stamps, bad = [np.empty(0)], np.zeros(len(description.picks), dtype=bool)
+        stamps = [np.empty(0)]
         alive = False
         # Also so long that the very first move can have its epoch.
         wanted = max(LOOK_S * description.sfreq, self._judge.shape.n_before)
@@ -83,19 +89,12 @@ class _Server:
             samples, times = self._eeg.pull(POLL_S)
             self._buffer.push(samples, times)
             stamps.append(times)
-            bad |= ~np.isfinite(samples).all(axis=0)
             alive |= len(samples) > 0 and bool((samples != samples[:1]).any())
             self._last_sample = local_clock() if len(times) else self._last_sample
             if local_clock() - self._last_sample > LOST_S:
                 raise SetupError(
                     f"Stream '{description.name}' is there but delivers no samples. Start the amplifier's acquisition."
                 )
-        if bad.any():
-            names = ", ".join(name for name, is_bad in zip(description.picked, bad, strict=True) if is_bad)
-            raise SetupError(
-                f"Stream '{description.name}' delivers values that are not numbers (NaN) in: {names}. "
-                "Reconnect these electrodes or switch the channels off in the amplifier."
-            )
         if not alive:
             raise SetupError(
                 f"Stream '{description.name}' delivers a flat line on all channels. Connect the electrodes, or the cap."
@@ -126,25 +125,42 @@ class _Server:
             self._check_silence(len(times))
             self._buffer.push(samples, times)
             for item in self._peer.hear(stimulus):
-                if isinstance(item.message, MoveOnset):
-                    offset = 0.0 if same_clock else stimulus.clock_correction() - self._eeg.clock_correction()
-                    self._expect((item.message.episode, item.message.step), item.stamp, offset)
-                elif isinstance(item.message, SessionEnd):
-                    ended, ended_at = True, arrived
+                offset = 0.0 if same_clock else stimulus.clock_correction() - self._eeg.clock_correction()
+                match item.message:
+                    case MoveOnset() as move:
+                        self._expect((move.episode, move.step), item.stamp, offset)
+                    case EpisodeStart() as start:
+                        self._examine(start)
+                    case SessionStart():
+                        self._recorded_since = item.stamp + offset - RECORDED_S
+                    case SessionEnd():
+                        ended, ended_at = True, arrived
             if ended and arrived - ended_at > LOST_S:
                 self._buffer.abandon("its samples never came")
             self._answer(arrived)
             self._check_rate(times)
 
+    def _examine(self, start: EpisodeStart) -> None:
+        """Decide which electrodes are bad; the moves of this episode are judged without them."""
+        samples, times = self._buffer.trailing(self._examiner.n_window)
+        electrodes = self._examiner.examine(start, samples, times, self._recorded_since)
+        self._peer.push(electrodes)
+        self._judge = self._judge.with_bad(electrodes.bad)
+        for sentence in changes(self._electrodes, electrodes):
+            self._peer.note("warning", sentence)
+        if self._judge.unusable is not None:
+            self._peer.note("error", self._judge.unusable)
+        self._electrodes = electrodes
+
     def _expect(self, key: MoveKey, onset: float, offset: float) -> None:
         if not self._buffer.expect(key, onset + offset):
             self._peer.note("warning", f"Episode {key[0]}, step {key[1]} was announced twice; the first counts.")
             return
-        self._offsets[key] = offset
+        self._offsets[key], self._judges[key] = offset, self._judge
 
     def _answer(self, arrived: float) -> None:
         for key, result in self._buffer.poll():
-            verdict = self._judge.verdict(key, result, self._offsets.pop(key))
+            verdict = self._judges.pop(key).verdict(key, result, self._offsets.pop(key))
             latency_ms = (local_clock() - arrived) * 1e3
             self._peer.push(verdict.model_copy(update={"latency_ms": latency_ms}))
             if verdict.outcome == "rejected":

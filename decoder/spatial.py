@@ -7,7 +7,8 @@ would leak into the ocular sources, and through the average into everything. The
 left adds up to nothing over the channels whatever went before. The matrix stays the same for a whole block.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,6 +101,38 @@ def compose(
     matrix = np.zeros((len(kept), n_stream))
     matrix[:, np.asarray(order)] = common_average(len(kept)) @ kept
     return matrix
+
+
+@dataclass(frozen=True, eq=False)
+class Montage:
+    """A decoder's channels on one stream, and all that acts across them but the repair of bad ones.
+
+    Attributes
+    ----------
+    n_stream : channels in an epoch.
+    channels : names, in the decoder's order.
+    order : int64, (n_channels,), the same as indices into the stream's.
+    outputs : int64, (n_outputs,), those that become features, as indices into `channels`: all but EOG.
+    eyes : (n_channels, n_channels), from `ocular`, or None.
+    """
+
+    n_stream: int
+    channels: tuple[str, ...]
+    order: NDArray[np.int64]
+    outputs: NDArray[np.int64]
+    eyes: Array | None = None
+
+    def matrix(self, bad: Collection[str] = ()) -> Array:
+        """The spatial matrix while these channels are bad: float64, (n_outputs, n_stream).
+
+        A bad EOG channel can't be repaired from its neighbours: nothing is taken from it. Raises SetupError, as
+        `interpolation` does, where too many of the others are bad, or one of no known place.
+        """
+        wrong = {canonical(name) for name in bad}
+        repair = np.diag([float(canonical(name) not in wrong) for name in self.channels])
+        eeg = [self.channels[index] for index in self.outputs.tolist()]
+        repair[np.ix_(self.outputs, self.outputs)] = interpolation(eeg, [n for n in eeg if canonical(n) in wrong])
+        return compose(self.n_stream, self.order, repair=repair, eyes=self.eyes, outputs=self.outputs)
 
 
 def _is_bad(channels: Sequence[str], bad: Sequence[str]) -> NDArray[np.bool_]:

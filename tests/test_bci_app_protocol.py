@@ -40,7 +40,7 @@ def test_floats_survive_to_the_bit(
     [
         ("hello", "Invalid JSON"),
         ("{}", "type"),
-        ('{"protocol": 3, "session": "s", "type": "Resume"}', "protocol"),
+        ('{"protocol": 4, "session": "s", "type": "Resume"}', "protocol"),
         ('{"protocol": 2, "session": "s", "type": "Resume", "extra": 1}', "extra"),
         ('{"protocol": 2, "session": "other", "type": "Resume"}', "session 'other'"),
         ('{"protocol": 2, "session": "s", "type": "Gossip"}', "type"),
@@ -62,13 +62,13 @@ def test_what_is_no_message_of_this_session_is_refused(text: str, says: str) -> 
     assert says.lower() in str(error.value).lower()
 
 
-def test_version_1_is_read_and_version_2_sent() -> None:
+def test_older_versions_are_read_and_the_newest_sent() -> None:
     """Calibrations recorded before verdicts had evidence can be fitted again."""
     message = {"protocol": 1, "session": "s", "type": "Verdict", "episode": 0, "step": 1, "outcome": "unjudged"}
     old = decode(json.dumps({**message, "clock_offset": 0.0}), "s")
     assert isinstance(old, Verdict)
     assert (old.protocol, old.evidence) == (1, None)
-    assert json.loads(encode(protocol.Resume(session="s")))["protocol"] == protocol.PROTOCOL_VERSION == 2
+    assert json.loads(encode(protocol.Resume(session="s")))["protocol"] == protocol.PROTOCOL_VERSION == 3
     assert f"| `protocol` | integer | {protocol.PROTOCOL_VERSION}, the version of this page" in PAGE
 
 

@@ -98,23 +98,23 @@ def test_damage_is_refused(file: Path, tmp_path: Path, data: st.DataObject) -> N
 def test_other_files_are_refused(tmp_path: Path, contents: bytes) -> None:
     path = tmp_path / "other"
     path.write_bytes(contents)
-    with pytest.raises(SetupError, match="no decoder of format 2"):
+    with pytest.raises(SetupError, match="no decoder of format 3"):
         load(path)
     with pytest.raises(SetupError, match="Calibrate first"):
         load(tmp_path / "missing")
 
 
 def test_a_future_format_is_refused(file: Path) -> None:
-    contents = file.read_bytes().replace(b'{\\"format\\":2', b'{\\"format\\":3')
+    contents = file.read_bytes().replace(b'{\\"format\\":3', b'{\\"format\\":4')
     file.write_bytes(contents)
     with pytest.raises(SetupError, match=r"damaged \(format: .*Use the bci-app version that wrote it"):
         load(file)
 
 
-def test_format_1_is_to_be_fitted_again(file: Path) -> None:
-    contents = file.read_bytes().replace(b'{\\"format\\":2', b'{\\"format\\":1')
+def test_an_older_format_is_to_be_fitted_again(file: Path) -> None:
+    contents = file.read_bytes().replace(b'{\\"format\\":3', b'{\\"format\\":2')
     file.write_bytes(contents)
-    with pytest.raises(SetupError, match=r"format 1, .*Run `bci-app fit` on the calibration again\.$"):
+    with pytest.raises(SetupError, match=r"format 2, .*Run `bci-app fit` on the calibration again\.$"):
         load(file)
 
 

@@ -35,7 +35,7 @@ def cross_validate(recorded: tuple[np.ndarray, np.ndarray, np.ndarray], sfreq: f
     samples, onsets, error = recorded
     chain = design(config, sfreq)
     operator, spatial = chain_operator(chain), common_average(samples.shape[1])
-    shape = Shape(sfreq, chain.n_before, chain.n_after, 5e6)
+    shape = Shape(sfreq, chain.n_before, chain.n_after)
     epochs = cut_recording(samples, np.arange(len(samples)) / sfreq, onsets.tolist(), shape)
     rows = np.stack([features(epoch.data, operator, spatial) for epoch in epochs if isinstance(epoch, Epoch)])
     assert len(rows) == len(error)

@@ -1,0 +1,79 @@
+"""Which electrodes are bad, decided at the start of each episode and kept until the next.
+
+Decided from the EEG just before, on what is in the record alone: a replay decides the same from the same samples.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bci_app.protocol import Electrodes, EpisodeStart
+from decoder.quality import Inspector
+
+WINDOW_S = 10.0
+"""Seconds before an episode that are looked at (decided: drifts show, and a blink or two don't)."""
+RECORDED_S = 6.0
+"""Session seconds before a run's first message that are in the record for certain: what is older isn't looked at."""
+
+
+class Examiner:
+    """Looks at the EEG before each episode.
+
+    Parameters
+    ----------
+    session : goes into every message.
+    channels : of the stream, EOG too.
+    sfreq : rate, Hz. Raises SetupError where that is too slow to tell noise from EEG.
+    """
+
+    def __init__(self, session: str, channels: Sequence[str], sfreq: float) -> None:
+        self._session = session
+        self._inspector = Inspector(channels, sfreq)
+        self.n_window = round(WINDOW_S * sfreq)
+
+    def examine(
+        self, start: EpisodeStart, samples: NDArray[np.floating], times: NDArray[np.float64], since: float
+    ) -> Electrodes:
+        """What is bad.
+
+        Parameters
+        ----------
+        samples, times : (n_times, n_channels), uV, and (n_times,), raw stamps; the newest `n_window` or fewer.
+        since : stamp of the EEG from which on samples are recorded for certain.
+        """
+        known = slice(int(np.searchsorted(np.maximum.accumulate(times), since)), None) if len(times) else slice(0)
+        return self.decide(start.episode, samples[known], times[known])
+
+    def decide(self, episode: int, samples: NDArray[np.floating], times: NDArray[np.float64]) -> Electrodes:
+        """What is bad over exactly these samples; nothing where they are too few."""
+        if len(samples) < self._inspector.n_least:
+            return Electrodes(session=self._session, episode=episode)
+        qualities = self._inspector.inspect(np.asarray(samples, dtype=np.float64))
+        return Electrodes(
+            session=self._session,
+            episode=episode,
+            bad={quality.name: list(quality.faults) for quality in qualities if quality.is_bad},
+            last_time=float(times[-1]),
+            n_samples=len(samples),
+        )
+
+    def again(self, before: Electrodes, samples: NDArray[np.floating], times: NDArray[np.float64]) -> Electrodes:
+        """The same decision from a recording's samples, (n_times, n_channels), uV, and stamps.
+
+        Where the samples it was made on aren't all there, it is taken over.
+        """
+        if before.last_time is None:
+            return before
+        ends = np.flatnonzero(times == before.last_time)
+        if not len(ends) or ends[-1] + 1 < before.n_samples:
+            return before
+        window = slice(ends[-1] + 1 - before.n_samples, ends[-1] + 1)
+        return self.decide(before.episode, samples[window], times[window])
+
+
+def changes(before: Electrodes | None, now: Electrodes) -> list[str]:
+    """What is new about the electrodes, a sentence each."""
+    known = before.bad if before else {}
+    sentences = [f"Channel {name} is bad: {', '.join(now.bad[name])}." for name in now.bad if name not in known]
+    return sentences + [f"Channel {name} is good again." for name in known if name not in now.bad]
