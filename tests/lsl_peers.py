@@ -25,7 +25,7 @@ def until(condition: Callable[[], Any], seconds: float, what: str, between: Call
 
 
 class ForeignAmplifier:
-    """Noise on named channels, with a sample counter in the first: a lost or doubled sample shows."""
+    """Three noises that named channels share, with a sample counter in the first: a lost or doubled sample shows."""
 
     def __init__(
         self,
@@ -48,6 +48,8 @@ class ForeignAmplifier:
                 channel.append_child_value("unit", unit)
         self._outlet: pylsl.StreamOutlet | None = pylsl.StreamOutlet(info)
         self._rng = np.random.default_rng(1)
+        mixing = self._rng.normal(0, 1, (3, len(self.labels)))
+        self._mixing = 10 * mixing / np.linalg.norm(mixing, axis=0)
         self._started = pylsl.local_clock()
         self._sent = 0
         self._rate = delivered or sfreq
@@ -69,7 +71,8 @@ class ForeignAmplifier:
         due = int((pylsl.local_clock() - self._started) * self._rate)
         if due > self._sent:
             number = np.arange(self._sent, due)
-            samples = self._rng.normal(0, 10, (len(number), len(self.labels))).astype(np.float32)
+            samples = self._rng.normal(0, 1, (len(number), len(self.labels)))
+            samples = (samples + self._rng.normal(0, 1, (len(number), 3)) @ self._mixing).astype(np.float32)
             samples[:, 0] = number % 1000
             self._spoil(samples)
             self._outlet.push_chunk(samples, (self._started + self._clock_s + number / self._rate).tolist())
