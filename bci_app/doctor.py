@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -11,8 +13,8 @@ from bci_app.config import Config
 from bci_app.errors import LinkLost, SetupError
 from bci_app.lsl import EegInlet, all_streams, find_eeg, local_clock
 
-RATE_S = 3.0
-"""Real seconds of EEG over which the rate is measured."""
+LOOK_S = 10.0
+"""Real seconds of EEG that are looked at: as many as before an episode."""
 
 
 def examine(config: Config, model_path: Path | None) -> dict[str, Any]:
@@ -24,7 +26,9 @@ def examine(config: Config, model_path: Path | None) -> dict[str, Any]:
         inlet = EegInlet(info, config.eeg.buffer_s)
         description = inlet.description
         text = f"'{description.name}', {len(description.picks)} EEG channels at {description.sfreq:g} Hz"
-        checks += [_check("EEG stream with labels and units", True, text), _rate(inlet, config)]
+        samples, times = _listen(inlet)
+        checks += [_check("EEG stream with labels and units", True, text), _rate(inlet, config, times)]
+        checks.append(_electrodes(inlet, samples))
         if model_path:
             checks.append(_fits(model_path, inlet))
     except (SetupError, LinkLost) as error:
@@ -32,20 +36,42 @@ def examine(config: Config, model_path: Path | None) -> dict[str, Any]:
     return {"streams": streams, "checks": checks, "fit": all(check["ok"] for check in checks)}
 
 
-def _rate(inlet: EegInlet, config: Config) -> dict[str, Any]:
-    import numpy as np
+def _listen(inlet: EegInlet) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Samples (n_times, n_channels), uV, of `LOOK_S` from now, and their stamps."""
+    parts, started = [], local_clock()
+    while local_clock() - started < LOOK_S:
+        parts.append(inlet.pull(0.1))
+    samples, times = zip(*parts, strict=True)
+    return np.concatenate(samples), np.concatenate(times)
 
+
+def _rate(inlet: EegInlet, config: Config, times: NDArray[np.float64]) -> dict[str, Any]:
     from decoder.timeline import check_rate
 
-    description, chunks, started = inlet.description, [], local_clock()
-    while local_clock() - started < RATE_S:
-        chunks.append(inlet.pull(0.1)[1])
-    times = np.concatenate(chunks)
+    description = inlet.description
     try:
         rate = check_rate(times, description.sfreq, description.name, config.eeg.rate_tolerance)
     except SetupError as error:
         return _check("samples at the nominal rate", False, str(error))
-    return _check("samples at the nominal rate", True, f"{rate:.2f} Hz over {RATE_S:g} s")
+    return _check("samples at the nominal rate", True, f"{rate:.2f} Hz over {LOOK_S:g} s")
+
+
+def _electrodes(inlet: EegInlet, samples: NDArray[np.float32]) -> dict[str, Any]:
+    """The bad ones are repaired in a run, unless they are too many; better mend them now."""
+    from decoder.judge import judge_without
+    from decoder.quality import Inspector
+
+    description, what = inlet.description, "electrodes"
+    try:
+        qualities = Inspector(description.picked, description.sfreq).inspect(samples.astype(np.float64))
+    except SetupError as error:
+        return _check(what, False, str(error))
+    bad = {quality.name: quality.faults for quality in qualities if quality.is_bad}
+    if not bad:
+        return _check(what, True, f"all {len(qualities)} are good")
+    text = "; ".join(f"{name}: {', '.join(faults)}" for name, faults in bad.items())
+    unusable = judge_without(Config(), description, "").with_bad(bad).unusable
+    return _check(what, unusable is None, text if unusable is None else f"{text}. {unusable}")
 
 
 def _fits(model_path: Path, inlet: EegInlet) -> dict[str, Any]:

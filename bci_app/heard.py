@@ -9,6 +9,7 @@ from typing import Literal
 from bci_app.protocol import (
     Action,
     AnyMessage,
+    Electrodes,
     EpisodeEnd,
     MoveOnset,
     Note,
@@ -62,6 +63,8 @@ class Heard:
         self.verdicts: Counter[str] = Counter()
         self.rejected_in_a_row = 0
         self.last_reason: str | None = None
+        self.bad: tuple[str, ...] = ()
+        """Channels that are repaired at present."""
         self.ending: tuple[Literal["interrupted", "failed"], str] | None = None
         """Why bci-app itself ended the run; the stimulus, told to stop, can't know."""
         self.notes: list[str] = []
@@ -81,6 +84,8 @@ class Heard:
                 self.moves += 1
             case EpisodeEnd():
                 self._episodes += 1
+            case Electrodes():
+                self.bad = tuple(message.bad)
             case Verdict():
                 self.verdicts[message.outcome] += 1
                 self.rejected_in_a_row = self.rejected_in_a_row + 1 if message.outcome == "rejected" else 0
@@ -109,9 +114,11 @@ class Heard:
         if self.start is None:
             return "waiting for the stimulus to begin", 0, 1
         stimulus = self._states.get("stimulus")
-        trouble = f", {self.verdicts['rejected']} rejected" if self.verdicts["rejected"] else ""
+        rejected = self.verdicts["rejected"]
+        trouble = f", {rejected} rejected" if rejected else ""
+        trouble += f", bad: {' '.join(self.bad)}" if self.bad else ""
         if self.start.n_moves:
-            return f"calibration{trouble}", self.moves, self.start.n_moves
+            return f"calibration{trouble}", self.moves - rejected, self.start.n_moves
         where = stimulus.text if stimulus else ""
         return f"online, {where}{trouble}", self._episodes, self.start.n_episodes or 1
 

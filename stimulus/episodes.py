@@ -181,7 +181,8 @@ class Plan:
     opening : the first message.
     seed : what the run's chances follow from.
     episodes : the episodes in their order; a calibration's never end.
-    choose : the calibrating agent's action for (cell, goal); None when actions come from outside.
+    choose : the calibrating agent's action for (cell, goal, whether it must be an error; None leaves that to chance);
+        None when actions come from outside.
     moves_per_block : None for a run without blocks.
     break_s : session seconds a break between blocks lasts at least.
     wait_for_key : whether a key ends a break; else time does.
@@ -190,7 +191,7 @@ class Plan:
     opening: SessionStart
     seed: int
     episodes: Iterator[Episode]
-    choose: Callable[[int, int], int] | None
+    choose: Callable[[int, int, bool | None], int] | None
     max_steps: int
     n_blocks: int = 0
     moves_per_block: int | None = None
@@ -216,8 +217,8 @@ def calibration_plan(
         n_moves=run.n_blocks * run.moves_per_block,
     )
 
-    def choose(cell: int, goal: int) -> int:
-        return calibration_action(world, cell, goal, rng, run.error_probability)
+    def choose(cell: int, goal: int, error: bool | None) -> int:
+        return calibration_action(world, cell, goal, rng, run.error_probability if error is None else float(error))
 
     episodes = random_episodes(world, rng)
     return Plan(

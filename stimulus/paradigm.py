@@ -7,8 +7,12 @@ the onset, which is the flip that showed the jump::
     READY -> LOOK -> COUNTDOWN -> JUMP -> ARROW -> REST -> COUNTDOWN ... -> DONE
                       |    ^                        |
                       HOLD-' (no action yet)        '-> LOOK (next episode) or BREAK -> KEY -> LOOK (next block)
+
+A calibration's block goes on until it has its moves without those whose epochs were rejected: each of these is repeated
+at the end of the block, by a move of the same kind, for at most `MOST_REPEATED` of the block.
 """
 
+from collections import deque
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Literal, Self
@@ -24,6 +28,7 @@ from bci_app.protocol import (
     Resume,
     RunSeed,
     SessionEnd,
+    Verdict,
 )
 from stimulus.episodes import Plan, Walk, calibration_plan, online_plan
 from stimulus.scene import Scene
@@ -31,6 +36,8 @@ from stimulus.scene import Scene
 WELCOME = "Watch the red agent on its way to the green goal.\nJudge every move in silence: right or wrong?"
 COMPLETE = "Done. Thank you!"
 STOPPED = "The session has ended."
+MOST_REPEATED = 0.5
+"""Share of a block's moves that may be repeated: with more rejected, the electrodes want looking at (decided)."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +59,7 @@ class Phase(Enum):
     JUMP = auto()  # the scene shows the jump, its flip is not reported yet
     ARROW = auto()
     REST = auto()
+    VERDICT = auto()  # the block has all its moves, but whether one must be repeated isn't known yet
     BREAK = auto()
     KEY = auto()  # a key may end the break
     PAUSED = auto()
@@ -76,7 +84,11 @@ class Paradigm:
         self._due = 0.0
         self._out: list[Outgoing] = []
         self._last_stamp = float("-inf")
-        self._block = self._block_moves = self._moves = 0
+        self._block = self._block_moves = 0
+        self._moves = 0  # without those that must be repeated
+        self._unjudged: dict[tuple[int, int], bool] = {}  # of this block; whether each was an error
+        self._again: deque[bool] = deque()  # the same of moves still to be repeated
+        self._repeats = 0  # in this block
         self._walk = Walk(world, self.session, number=-1, cell=0, goal=0, max_steps=0)  # until the first begins
         self._running = False
         self._action: int | None = None  # of the coming move
@@ -108,13 +120,15 @@ class Paradigm:
         return self._phase is Phase.JUMP
 
     @property
-    def waiting_for(self) -> Literal["start", "action", "key", "resume"] | None:
+    def waiting_for(self) -> Literal["start", "action", "verdict", "key", "resume"] | None:
         """What from outside the run waits for; None while time or a flip moves it on."""
         match self._phase:
             case Phase.READY:
                 return "start"
             case Phase.HOLD:
                 return "action"
+            case Phase.VERDICT:
+                return "verdict"
             case Phase.KEY:
                 return "key"
             case Phase.PAUSED:
@@ -125,6 +139,11 @@ class Paradigm:
     def needs_actions(self) -> bool:
         """True for an online run, whose moves come from outside."""
         return self._plan.choose is None
+
+    @property
+    def needs_verdicts(self) -> bool:
+        """True for a run in blocks, where moves whose epochs are rejected are repeated."""
+        return self._plan.moves_per_block is not None
 
     @property
     def progress(self) -> str:
@@ -202,7 +221,10 @@ class Paradigm:
         self._walk.steps += 1
         self._moves += 1
         self._block_moves += 1
-        self._send_pair(self._walk.move_messages(), onset)
+        onset_message, truth = self._walk.move_messages()
+        if self.needs_verdicts:
+            self._unjudged[truth.episode, truth.step] = truth.error
+        self._send_pair((onset_message, truth), onset)
         self._wait(Phase.ARROW, onset + self._times.arrow_s)
 
     def offer_action(self, action: Action) -> str | None:
@@ -214,6 +236,24 @@ class Paradigm:
                 self._phase = Phase.COUNTDOWN  # its time is over, so the next update jumps
         return problem
 
+    def take_verdict(self, verdict: Verdict, now: float) -> None:
+        """Hear whether a move's epoch is valid; one of this block that was rejected is repeated at its end."""
+        error = self._unjudged.pop((verdict.episode, verdict.step), None)
+        if error is None:
+            return
+        if verdict.outcome == "rejected" and self._repeats < MOST_REPEATED * (self._plan.moves_per_block or 0):
+            self._again.append(error)
+            self._repeats += 1
+            self._moves -= 1
+        self._after_verdict(now)
+
+    def miss_verdicts(self, now: float) -> int:
+        """Take those that stay away for valid; returns how many."""
+        n_missing = len(self._unjudged)
+        self._unjudged.clear()
+        self._after_verdict(now)
+        return n_missing
+
     def pause(self, now: float, reason: str) -> None:
         """Pause as soon as that spoils no epoch: at once, or after the move or break that is under way.
 
@@ -221,7 +261,7 @@ class Paradigm:
         """
         if self._phase in (Phase.LOOK, Phase.COUNTDOWN, Phase.HOLD):
             self._enter_pause(now, reason)
-        elif self._phase in (Phase.JUMP, Phase.ARROW, Phase.REST, Phase.BREAK):
+        elif self._phase in (Phase.JUMP, Phase.ARROW, Phase.REST, Phase.VERDICT, Phase.BREAK):
             self._pause_reason = reason
 
     def resume(self, now: float) -> None:
@@ -232,6 +272,8 @@ class Paradigm:
         self._send(Resume(session=self.session), now)
         if self._paused_in is Phase.BREAK:
             self._after_break(now)
+        elif self._is_undecided():
+            self._phase = Phase.VERDICT
         elif reason := self._end_reason():
             self._end_episode(now, reason)
         else:
@@ -259,6 +301,8 @@ class Paradigm:
                 self._wait(Phase.REST, self._due + self._times.rest_s)
             case _ if self._pause_reason is not None:
                 self._enter_pause(now, self._pause_reason)
+            case Phase.REST if self._is_undecided():
+                self._phase = Phase.VERDICT
             case Phase.REST if reason := self._end_reason():
                 self._end_episode(now, reason)
             case Phase.REST:
@@ -271,7 +315,8 @@ class Paradigm:
 
     def _jump(self) -> None:
         if self._plan.choose is not None:
-            self._action = self._plan.choose(self._walk.cell, self._walk.goal)
+            again = self._again.popleft() if self._again and self._is_block_full() else None
+            self._action = self._plan.choose(self._walk.cell, self._walk.goal, again)
         if self._action is None:
             self._phase = Phase.HOLD
             return
@@ -280,10 +325,27 @@ class Paradigm:
         self._phase = Phase.JUMP
 
     def _end_reason(self) -> Literal["goal", "limit", "block"] | None:
-        return self._walk.over() or ("block" if self._block_moves == self._plan.moves_per_block else None)
+        return self._walk.over() or ("block" if self._is_block_over() else None)
+
+    def _is_block_full(self) -> bool:
+        """Whether the block has all its moves, if none must be repeated."""
+        per_block = self._plan.moves_per_block
+        return per_block is not None and self._block_moves >= per_block
+
+    def _is_block_over(self) -> bool:
+        """Whether it also has those that must be repeated by what is known so far."""
+        return self._is_block_full() and not self._again
+
+    def _is_undecided(self) -> bool:
+        return self._is_block_over() and bool(self._unjudged)
+
+    def _after_verdict(self, now: float) -> None:
+        if self._phase is Phase.VERDICT and not self._is_undecided():
+            self._wait(Phase.REST, now)
 
     def _begin_block(self, now: float) -> None:
-        self._block_moves = 0
+        self._block_moves = self._repeats = 0
+        self._again.clear()
         if self._plan.moves_per_block is not None:
             start = BlockStart(session=self.session, block=self._block, n_moves=self._plan.moves_per_block)
             self._send(start, now)
@@ -302,7 +364,7 @@ class Paradigm:
 
     def _end_episode(self, now: float, reason: Literal["goal", "limit", "block"]) -> None:
         self._send_episode_end(now, reason)
-        if self._block_moves != self._plan.moves_per_block:
+        if not self._is_block_over():
             self._begin_episode(now)
             return
         self._send(BlockEnd(session=self.session, block=self._block, n_moves=self._block_moves), now)

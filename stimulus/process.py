@@ -20,6 +20,7 @@ from bci_app.protocol import (
     Action,
     Command,
     Status,
+    Verdict,
     marker_code,
 )
 from stimulus.paradigm import Paradigm
@@ -73,6 +74,7 @@ class _Shell:
         self._truth = MessageOutlet(TRUTH, peer.session)
         self._markers = MarkerOutlet(MARKERS, peer.session)
         self._actions: MessageInlet | None = None
+        self._verdicts: MessageInlet | None = None
         self._commands: MessageInlet | None = None
         self._shown: Scene | None = None
         self._drawn_at = 0.0
@@ -82,15 +84,18 @@ class _Shell:
         self._lead = 0.0 if config.stimulus.headless else FRAME_S / 2
 
     def connect(self, commanded: bool) -> None:
-        """Find whom this run listens to: the policy when moves come from outside, bci-app when it leads."""
+        """Find whom this run listens to: the policy when moves come from outside, else the decoder; bci-app if it
+        leads."""
         if self._paradigm.needs_actions:
             self._actions = self._peer.wait_for(ACTIONS_STREAM)
+        if self._paradigm.needs_verdicts:
+            self._verdicts = self._peer.wait_for(VERDICTS)
         if commanded:
             self._commands = self._peer.wait_for(SESSION)
 
     def await_peers(self) -> None:
         """Without bci-app and without a key, begin once decoder and policy say that they hear this process."""
-        verdicts = self._peer.wait_for(VERDICTS)
+        verdicts = self._verdicts or self._peer.wait_for(VERDICTS)
         for inlet in (verdicts, self._actions):
             while inlet is not None and not any(
                 isinstance(item.message, Status) and item.message.state == "ready"
@@ -133,6 +138,9 @@ class _Shell:
         for item in self._peer.hear(self._actions) if self._actions else ():
             if isinstance(item.message, Action):
                 self._offer(item.message)
+        for item in self._peer.hear(self._verdicts) if self._verdicts else ():
+            if isinstance(item.message, Verdict):
+                self._paradigm.take_verdict(item.message, now)
 
     def _pressed(self, key: str, now: float) -> None:
         match key:
@@ -156,15 +164,23 @@ class _Shell:
             self._paradigm.resume(self._clock.now())
 
     def _hold(self, now: float) -> None:
-        """An action that is missing holds the countdown; when it stays away the run pauses and says why."""
-        if self._paradigm.waiting_for != "resume":
+        """An action that is missing holds the countdown; when it stays away the run pauses and says why. Verdicts that
+        are missing hold a block's end; when they stay away their moves aren't repeated."""
+        waiting_for = self._paradigm.waiting_for
+        if waiting_for != "resume":
             self._paused_for_action = False
-        if self._paradigm.waiting_for != "action":
+        if waiting_for not in ("action", "verdict"):
             self._held_since = None
             return
         self._held_since = self._held_since or local_clock()
-        if local_clock() - self._held_since > self._config.stimulus.hold_s:
-            reason = f"No action from the policy for {self._config.stimulus.hold_s:g} s."
+        hold_s = self._config.stimulus.hold_s
+        if local_clock() - self._held_since <= hold_s:
+            return
+        if waiting_for == "verdict":
+            n_missing = self._paradigm.miss_verdicts(now)
+            self._peer.note("warning", f"No verdict from the decoder on {n_missing} moves for {hold_s:g} s.")
+        else:
+            reason = f"No action from the policy for {hold_s:g} s."
             self._peer.note("error", reason)
             self._paradigm.pause(now, reason)
             self._paused_for_action = True

@@ -14,7 +14,7 @@ import pytest
 from lsl_peers import LABELS, ForeignAmplifier, ForeignStimulus, Listener, until
 
 from bci_app.gridworld import load_map
-from bci_app.protocol import SessionEnd
+from bci_app.protocol import BlockEnd, Electrodes, EpisodeStart, SessionEnd
 from bci_app.recording import read
 from bci_app.runs import read_sidecar
 from policy.checkpoint import choose_told
@@ -168,6 +168,40 @@ def test_a_wrong_amplifier_is_refused_before_anything_starts(
         _, said = running.communicate()
         assert says in said
         assert "Traceback" not in said
+
+
+def dead_and_bursting(samples: np.ndarray) -> None:
+    """F3 is off; for one second in five, somebody clenches their jaw so hard that no epoch can be judged."""
+    samples[:, 3] = np.nan
+    counter = samples[:, 0].copy()
+    gains = np.random.default_rng(2).normal(0, 450, samples.shape[1])
+    time = counter % 1250 / 250
+    samples += np.outer(np.sin(20 * np.pi * time) * np.sin(np.pi * time) ** 2 * (time < 1), gains)
+    samples[:, 0] = counter
+
+
+def test_a_bad_channel_is_repaired_a_rejected_move_repeated_and_both_replayed(tmp_path: Path) -> None:
+    config = lab_config(tmp_path)
+    config.write_text(config.read_text(encoding="utf-8").replace("= 40", "= 6"), encoding="utf-8")
+    words = ("calibrate", "--participant", "P1", "--config", config, "--headless", "--json")
+    with closing(ForeignAmplifier(spoil=dead_and_bursting, period=5000)) as amplifier, process(*words) as running:
+        until(lambda: running.poll() is not None, 150, "the calibration", amplifier.play)
+        said, problems = running.communicate()
+    assert running.returncode == 0, problems
+    told = json.loads(said)
+    assert told["verdicts"]["unjudged"] == 6
+    assert told["verdicts"]["rejected"] == told["moves"] - 6 > 0
+    assert any("Channel F3 is bad: not finite." in note for note in told["notes"])
+    recording = read(Path(told["recording"]))
+    decisions = [decision for _, decision in recording.of(Electrodes)]
+    assert len(decisions) == len(recording.of(EpisodeStart))
+    assert all(decision.bad["F3"] == ["not finite"] for decision in decisions)
+    (end,) = [end for _, end in recording.of(BlockEnd)]
+    assert end.n_moves == told["moves"]
+    with process("replay", told["recording"], "--json") as replaying:
+        counts = json.loads(replaying.communicate(timeout=60)[0])["replay"]
+    assert counts["electrodes"] == counts["electrodes_equal"] == len(decisions)
+    assert counts["verdicts"] == counts["verdicts_equal"] == told["moves"]
 
 
 def named(folder: Path, stream: str) -> Path:

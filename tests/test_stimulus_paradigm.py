@@ -1,7 +1,9 @@
 """The paradigm with a fake clock: its timing to the second, its messages, and what it does when things go wrong."""
 
+import math
 from collections.abc import Callable
 from itertools import pairwise
+from typing import Literal
 
 import pytest
 from hypothesis import given, settings
@@ -25,6 +27,7 @@ from bci_app.protocol import (
     SessionEnd,
     SessionStart,
     Truth,
+    Verdict,
 )
 from stimulus.paradigm import Outgoing, Paradigm
 
@@ -61,13 +64,27 @@ def action(episode: int, step: int, name: str, session: str = "s") -> Action:
     )
 
 
+Outcome = Literal["unjudged", "rejected"]
+
+
+def verdict(move: MoveOnset, outcome: Outcome) -> Verdict:
+    return Verdict(session="s", episode=move.episode, step=move.step, outcome=outcome, clock_offset=0.0)
+
+
 class Runner:
-    """Drives a paradigm from one due time to the next; flips come `lag` seconds after the update."""
+    """Drives a paradigm from one due time to the next; flips come `lag` seconds after the update.
+
+    `judge` gives the verdict on each move of a calibration, or None to withhold it.
+    """
 
     def __init__(
-        self, paradigm: Paradigm, lag: float = 0.0, respond: Callable[[Message, Message], None] | None = None
+        self,
+        paradigm: Paradigm,
+        lag: float = 0.0,
+        respond: Callable[[Message, Message], None] | None = None,
+        judge: Callable[[MoveOnset], Outcome | None] = lambda move: "unjudged",
     ) -> None:
-        self.paradigm, self.lag, self.respond = paradigm, lag, respond
+        self.paradigm, self.lag, self.respond, self.judge = paradigm, lag, respond, judge
         self.now = 100.0
         self.sent: list[Outgoing] = []
         paradigm.start(self.now)
@@ -76,6 +93,9 @@ class Runner:
     def take(self) -> None:
         new = self.paradigm.take_messages()
         self.sent += new
+        for out in new:
+            if isinstance(out.message, MoveOnset) and (outcome := self.judge(out.message)):
+                self.paradigm.take_verdict(verdict(out.message, outcome), self.now)
         for out, after in pairwise(new):
             if self.respond:
                 self.respond(out.message, after.message)
@@ -283,6 +303,70 @@ def test_the_scenes_of_a_step() -> None:
 def test_a_flip_nobody_awaits_is_a_programmers_mistake() -> None:
     with pytest.raises(RuntimeError, match="LOOK"):
         Runner(calibration()).paradigm.flipped(101.0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_rejected_moves_are_repeated_in_kind_at_the_end_of_their_block(data: st.DataObject) -> None:
+    """Whenever the verdicts come, and whichever moves are rejected, repetitions too; at most half a block of them."""
+    n_blocks, per_block = data.draw(st.integers(1, 3), "blocks"), data.draw(st.integers(1, 12), "moves")
+    waiting: list[MoveOnset] = []
+    told: dict[tuple[int, int], Outcome] = {}
+    late = data.draw(st.booleans(), "late")
+
+    def judge(move: MoveOnset) -> Outcome | None:
+        told[move.episode, move.step] = data.draw(st.sampled_from(["unjudged", "unjudged", "rejected"]), "verdict")
+        if late:
+            waiting.append(move)
+            return None
+        return told[move.episode, move.step]
+
+    runner = Runner(calibration(short(n_blocks, per_block)), judge=judge)
+    while not runner.paradigm.done:
+        if not runner.step():
+            assert runner.paradigm.waiting_for == "verdict"
+            assert waiting
+            for move in data.draw(st.permutations(waiting), "order"):
+                runner.now += 0.1
+                runner.paradigm.take_verdict(verdict(move, told[move.episode, move.step]), runner.now)
+                runner.paradigm.take_verdict(verdict(move, "rejected"), runner.now)  # the first word counts
+            waiting.clear()
+    blocks: list[list[tuple[Outcome, bool, bool]]] = [[]]  # verdict, error, whether an error was possible
+    cell = goal = 0
+    for out in runner.sent:
+        match out.message:
+            case EpisodeStart() as start:
+                cell = OPEN.cell_at(*start.position)
+            case EpisodeGoal() as aim:
+                goal = OPEN.cell_at(*aim.goal)
+            case MoveOnset() as move:
+                can_err = any(OPEN.legal[cell, a] and OPEN.is_error(cell, a, goal) for a in range(4))
+                error = OPEN.is_error(cell, ACTIONS.index(move.action), goal)
+                blocks[-1].append((told[move.episode, move.step], error, can_err))
+                cell = OPEN.cell_at(*move.position)
+            case BlockEnd() as end:
+                assert end.n_moves == len(blocks[-1])
+                blocks.append([])
+    for block in blocks[:-1]:
+        rejected = [error for outcome, error, _ in block if outcome == "rejected"]
+        assert len(block) == per_block + min(math.ceil(per_block / 2), len(rejected))
+        if not late:  # else they are repeated in the order in which their verdicts came
+            repeated = block[per_block:]
+            assert [error for _, error, _ in repeated] == [
+                error and can_err for error, (_, _, can_err) in zip(rejected, repeated, strict=False)
+            ]
+    onsets = [out.stamp for out in runner.of(MoveOnset)]
+    assert all(after - before >= 3.0 for before, after in pairwise(onsets))
+
+
+def test_verdicts_that_stay_away_end_the_block_all_the_same() -> None:
+    runner = Runner(calibration(short(1, 5)), judge=lambda move: None if move.step == 1 else "unjudged")
+    runner.all()
+    assert runner.paradigm.waiting_for == "verdict"
+    assert runner.paradigm.miss_verdicts(runner.now) >= 1
+    runner.all()
+    assert runner.paradigm.done
+    assert len(runner.of(MoveOnset)) == 5
 
 
 # Online
