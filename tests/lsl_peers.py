@@ -36,7 +36,6 @@ class ForeignAmplifier:
         delivered: float | None = None,
         spoil: Callable[[np.ndarray], None] = lambda samples: None,
         clock_s: float = 0.0,
-        period: int = 1000,
     ) -> None:
         self.labels = LABELS if labels is None else labels
         info = pylsl.StreamInfo(name, "EEG", len(self.labels), sfreq, "float32", f"{name}-1")
@@ -56,7 +55,6 @@ class ForeignAmplifier:
         self._rate = delivered or sfreq
         self._spoil = spoil
         self._clock_s = clock_s
-        self._period = period
 
     def change_rate(self, delivered: float) -> None:
         """From now on deliver another rate, stamps and all."""
@@ -75,7 +73,7 @@ class ForeignAmplifier:
             number = np.arange(self._sent, due)
             samples = self._rng.normal(0, 1, (len(number), len(self.labels)))
             samples = (samples + self._rng.normal(0, 1, (len(number), 3)) @ self._mixing).astype(np.float32)
-            samples[:, 0] = number % self._period
+            samples[:, 0] = number % 1000
             self._spoil(samples)
             self._outlet.push_chunk(samples, (self._started + self._clock_s + number / self._rate).tolist())
             self._sent = due

@@ -170,27 +170,42 @@ def test_a_wrong_amplifier_is_refused_before_anything_starts(
         assert "Traceback" not in said
 
 
-def dead_and_bursting(samples: np.ndarray) -> None:
-    """F3 is off; for one second in five, somebody clenches their jaw so hard that no epoch can be judged."""
-    samples[:, 3] = np.nan
-    counter = samples[:, 0].copy()
-    gains = np.random.default_rng(2).normal(0, 450, samples.shape[1])
-    time = counter % 1250 / 250
-    samples += np.outer(np.sin(20 * np.pi * time) * np.sin(np.pi * time) ** 2 * (time < 1), gains)
-    samples[:, 0] = counter
+class Clenching:
+    """F3 is off; and at two moves somebody clenches their jaw so hard that the epoch can't be judged."""
+
+    def __init__(self) -> None:
+        self.amplifier = ForeignAmplifier(spoil=self.spoil)
+        self._stimulus: Listener | None = None
+        self._spoilt = 0
+        self._until = -np.inf
+
+    def play(self) -> None:
+        if self._stimulus is None and (found := pylsl.resolve_byprop("name", "bci-stimulus", 1, 0.01)):
+            self._stimulus = Listener("bci-stimulus", found[0].source_id().split("/")[1])
+        elif self._stimulus is not None and self._spoilt < 2:
+            n_moves = len(self._stimulus.of("MoveOnset"))
+            if n_moves > 2 * self._spoilt + 1:
+                self._spoilt, self._until = self._spoilt + 1, pylsl.local_clock() + 0.5
+        self.amplifier.play()
+
+    def spoil(self, samples: np.ndarray) -> None:
+        samples[:, 3] = np.nan
+        if pylsl.local_clock() < self._until:
+            samples[:, 5:9] += 3000 * np.sin(samples[:, :1] / 5)  # at 8 Hz
 
 
 def test_a_bad_channel_is_repaired_a_rejected_move_repeated_and_both_replayed(tmp_path: Path) -> None:
     config = lab_config(tmp_path)
-    config.write_text(config.read_text(encoding="utf-8").replace("= 40", "= 6"), encoding="utf-8")
+    config.write_text(config.read_text(encoding="utf-8").replace("= 40", "= 5"), encoding="utf-8")
     words = ("calibrate", "--participant", "P1", "--config", config, "--headless", "--json")
-    with closing(ForeignAmplifier(spoil=dead_and_bursting, period=5000)) as amplifier, process(*words) as running:
-        until(lambda: running.poll() is not None, 150, "the calibration", amplifier.play)
+    participant = Clenching()
+    with closing(participant.amplifier), process(*words) as running:
+        until(lambda: running.poll() is not None, 150, "the calibration", participant.play)
         said, problems = running.communicate()
     assert running.returncode == 0, problems
     told = json.loads(said)
-    assert told["verdicts"]["unjudged"] == 6
-    assert told["verdicts"]["rejected"] == told["moves"] - 6 > 0
+    assert told["verdicts"] == {"unjudged": 5, "rejected": 2}
+    assert told["moves"] == 7
     assert any("Channel F3 is bad: not finite." in note for note in told["notes"])
     recording = read(Path(told["recording"]))
     decisions = [decision for _, decision in recording.of(Electrodes)]
