@@ -47,13 +47,22 @@ class EegDescription:
 
     @property
     def picks(self) -> NDArray[np.int64]:
-        """Indices of the channels that are EEG: of that type, or of none given (triggers, accelerometers are not)."""
-        return np.flatnonzero([kind.strip().lower() in ("eeg", "") for kind in self.types])
+        """Indices of the channels that are EEG or EOG: of that type, or of none given (triggers, accelerometers are
+        not)."""
+        return np.flatnonzero([kind in ("eeg", "eog", "") for kind in self._kinds])
 
     @property
     def picked(self) -> list[str]:
-        """Labels of the channels that are EEG."""
-        return [self.channels[index] for index in self.picks]
+        """Labels of these channels; an EOG channel's says so, whatever the amplifier calls it."""
+        names, kinds = self.channels, self._kinds
+        return [
+            f"EOG {names[index]}" if kinds[index] == "eog" and "eog" not in names[index].lower() else names[index]
+            for index in self.picks
+        ]
+
+    @property
+    def _kinds(self) -> list[str]:
+        return [kind.strip().lower() for kind in self.types]
 
     def check(self) -> None:
         """Raise SetupError unless the stream is usable: a fixed rate, unique labels, known units."""
@@ -62,7 +71,7 @@ class EegDescription:
                 f"Stream '{self.name}' has no fixed sampling rate; EEG needs a nominal rate in Hz. "
                 "Set it in the amplifier's LSL connector."
             )
-        if not any(self.picked):
+        if not any(self.channels[index] for index in self.picks):
             raise SetupError(
                 f"Stream '{self.name}' has {len(self.picks)} EEG channels but no labels; channels are matched by name. "
                 "Switch on channel labels in the amplifier's LSL connector."

@@ -10,8 +10,8 @@ from bci_app.config import EyesConfig
 from bci_app.errors import SetupError
 from bci_app.protocol import Electrodes
 from bci_app.recording import Recording
-from decoder.eyes import Eyes, learn_eyes, ocular_sources
-from decoder.spatial import interpolation
+from decoder.eyes import Eyes, eeg_outputs, learn_eyes, ocular_sources
+from decoder.spatial import repair
 from decoder.timeline import segment_starts
 
 GAP_S = 1.0
@@ -66,7 +66,7 @@ def _learn(recording: Recording, decisions: Mapping[int, Electrodes], seconds: f
     samples = np.asarray(eeg.in_microvolts(recording.samples[stretch.start : stretch.start + n]), dtype=np.float64)
     bad = sorted({name for decision in decisions.values() for name in decision.bad})
     samples[:, [eeg.picked.index(name) for name in bad if name in eeg.picked]] = 0.0  # not even a number, perhaps
-    return learn_eyes(samples @ interpolation(eeg.picked, bad).T, eeg.sfreq, eeg.picked)
+    return learn_eyes(samples @ repair(eeg.picked, eeg_outputs(eeg.picked), bad).T, eeg.sfreq, eeg.picked)
 
 
 def longest_stretch(times: NDArray[np.float64], sfreq: float) -> slice:

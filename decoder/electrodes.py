@@ -9,10 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bci_app.protocol import Electrodes, EpisodeStart
-from decoder.quality import Inspector
+from decoder.eyes import is_eog
+from decoder.quality import Fault, Inspector
 
 WINDOW_S = 10.0
 """Seconds before an episode that are looked at (decided: drifts show, and a blink or two don't)."""
+EOG_FAULTS: frozenset[Fault] = frozenset({"not finite", "railed", "flat"})
+"""What makes an EOG channel bad: it is meant to differ from its neighbours, and to be large."""
 RECORDED_S = 6.0
 """Session seconds before a run's first message that are in the record for certain: what is older isn't looked at."""
 
@@ -50,10 +53,14 @@ class Examiner:
         if len(samples) < self._inspector.n_least:
             return Electrodes(session=self._session, episode=episode)
         qualities = self._inspector.inspect(np.asarray(samples, dtype=np.float64))
+        faults = {
+            quality.name: [fault for fault in quality.faults if not is_eog(quality.name) or fault in EOG_FAULTS]
+            for quality in qualities
+        }
         return Electrodes(
             session=self._session,
             episode=episode,
-            bad={quality.name: list(quality.faults) for quality in qualities if quality.is_bad},
+            bad={name: found for name, found in faults.items() if found},
             last_time=float(times[-1]),
             n_samples=len(samples),
         )

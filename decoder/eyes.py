@@ -75,7 +75,7 @@ def ocular_sources(channels: Sequence[str]) -> tuple[tuple[str, ...], Array]:
     Raises SetupError where there are neither.
     """
     found = {canonical(name): index for index, name in enumerate(channels)}
-    eog = [index for index, name in enumerate(channels) if _is_eog(name)]
+    eog = [index for index, name in enumerate(channels) if is_eog(name)]
     if eog:
         return tuple(channels[index] for index in eog), np.eye(len(channels))[eog]
     pairs = [pair for pair in FRONTAL_PAIRS if set(pair) <= set(found)]
@@ -99,7 +99,7 @@ def ocular_sources(channels: Sequence[str]) -> tuple[tuple[str, ...], Array]:
 
 def eeg_outputs(channels: Sequence[str]) -> NDArray[np.int64]:
     """Indices of the channels that are no EOG: `outputs` of `decoder.spatial.compose`."""
-    return np.flatnonzero([not _is_eog(name) for name in channels])
+    return np.flatnonzero([not is_eog(name) for name in channels])
 
 
 def learn_eyes(samples: NDArray[np.floating], sfreq: float, channels: Sequence[str]) -> Eyes:
@@ -168,5 +168,6 @@ def _strong(added: Array, resting: Array) -> Array:
     return np.asarray(combinations[:, [i for i in strongest_first if ratio[i] >= MIN_RATIO]].T)
 
 
-def _is_eog(name: str) -> bool:
+def is_eog(name: str) -> bool:
+    """Whether a channel of this name is an EOG channel."""
     return any(part in name.lower() for part in _EOG)

@@ -103,6 +103,20 @@ def compose(
     return matrix
 
 
+def repair(channels: Sequence[str], outputs: NDArray[np.int64], bad: Collection[str]) -> Array:
+    """(n_channels, n_channels): bad EEG channels, those of `outputs`, from the good ones; of a bad EOG channel, which
+    has no neighbours, nothing.
+
+    Names in `bad` that aren't among the channels are left alone. Raises SetupError, as `interpolation` does, where too
+    many EEG channels are bad, or one of no known place.
+    """
+    wrong = {canonical(name) for name in bad}
+    matrix = np.diag([float(canonical(name) not in wrong) for name in channels])
+    eeg = [channels[index] for index in outputs.tolist()]
+    matrix[np.ix_(outputs, outputs)] = interpolation(eeg, [name for name in eeg if canonical(name) in wrong])
+    return matrix
+
+
 @dataclass(frozen=True, eq=False)
 class Montage:
     """A decoder's channels on one stream, and all that acts across them but the repair of bad ones.
@@ -123,16 +137,9 @@ class Montage:
     eyes: Array | None = None
 
     def matrix(self, bad: Collection[str] = ()) -> Array:
-        """The spatial matrix while these channels are bad: float64, (n_outputs, n_stream).
-
-        A bad EOG channel can't be repaired from its neighbours: nothing is taken from it. Raises SetupError, as
-        `interpolation` does, where too many of the others are bad, or one of no known place.
-        """
-        wrong = {canonical(name) for name in bad}
-        repair = np.diag([float(canonical(name) not in wrong) for name in self.channels])
-        eeg = [self.channels[index] for index in self.outputs.tolist()]
-        repair[np.ix_(self.outputs, self.outputs)] = interpolation(eeg, [n for n in eeg if canonical(n) in wrong])
-        return compose(self.n_stream, self.order, repair=repair, eyes=self.eyes, outputs=self.outputs)
+        """The spatial matrix while these channels are bad: float64, (n_outputs, n_stream). Raises as `repair`."""
+        mended = repair(self.channels, self.outputs, bad)
+        return compose(self.n_stream, self.order, repair=mended, eyes=self.eyes, outputs=self.outputs)
 
 
 def _is_bad(channels: Sequence[str], bad: Sequence[str]) -> NDArray[np.bool_]:

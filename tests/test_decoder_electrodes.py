@@ -77,3 +77,11 @@ def test_a_decision_whose_samples_are_lost_is_taken_over(eeg: tuple[np.ndarray, 
     assert examiner.again(live, samples[3000:], times[3000:]) == live
     healed = np.nan_to_num(samples, nan=1.0)
     assert examiner.again(live, healed, times) != live
+
+
+def test_an_eog_channel_may_be_large_and_unlike_the_others_but_not_dead(eeg: tuple[np.ndarray, np.ndarray]) -> None:
+    samples, times = eeg
+    blinks = 4000 * np.sin(2 * np.pi * 3 * times)[:, None] * (times % 1 < 0.5)[:, None]
+    both = np.hstack((samples, blinks, np.zeros_like(blinks))).astype(np.float32)
+    found = Examiner("s", (*CHANNELS, "VEOG", "EOG dead"), SFREQ).examine(START, both, times, since=-np.inf)
+    assert set(found.bad) == {CHANNELS[5], CHANNELS[9], "EOG dead"}
