@@ -13,19 +13,26 @@ import pylsl
 import pytest
 from lsl_peers import LABELS, ForeignAmplifier, ForeignStimulus, Listener, until
 
+from bci_app.config import ChainConfig
 from bci_app.gridworld import load_map
 from bci_app.protocol import BlockEnd, Electrodes, EpisodeStart, SessionEnd
 from bci_app.recording import read
 from bci_app.runs import read_sidecar
+from decoder.chain import design
 from policy.checkpoint import choose_told
 
 TOLD = "0.7:0.8:0.2"  # hit, correct rejection, bits
 
 
+AWAY_S = 1000
+SECOND_HOST = (*f"unshare --time --monotonic {AWAY_S} --uts sh -c".split(), 'hostname second; exec "$@"', "sh")
+"""What comes after runs on this machine, but under another name and with a clock that is ahead (Linux, as root)."""
+
+
 @contextmanager
-def process(*words: object) -> Iterator[subprocess.Popen[str]]:
+def process(*words: object, host: tuple[str, ...] = ()) -> Iterator[subprocess.Popen[str]]:
     """A bci-app process that is gone when the block ends."""
-    command = [sys.executable, "-m", "bci_app", *map(str, words)]
+    command = [*host, sys.executable, "-m", "bci_app", *map(str, words)]
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         yield running
@@ -168,6 +175,32 @@ def test_a_wrong_amplifier_is_refused_before_anything_starts(
         _, said = running.communicate()
         assert says in said
         assert "Traceback" not in said
+
+
+def test_a_second_hosts_clock_a_thousand_seconds_away_moves_no_epoch(tmp_path: Path) -> None:
+    try:
+        subprocess.run([*SECOND_HOST, "true"], check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError) as error:
+        pytest.skip(f"a second clock needs Linux's time namespaces and the right to make one: {error}")
+    config = lab_config(tmp_path)
+    config.write_text(config.read_text(encoding="utf-8").replace("= 40", "= 3"), encoding="utf-8")
+    words = ("--session", "apart", "--config", config)
+    with (
+        closing(ForeignAmplifier()) as amplifier,
+        process("decoder", *words),
+        process("stimulus", *words, "--participant", "P", "--task", "calibration", host=SECOND_HOST) as stimulus,
+    ):
+        verdicts, moves = (Listener(f"bci-{name}", "apart") for name in ("verdicts", "stimulus"))
+        until(lambda: len(verdicts.of("Verdict")) == 3, 60, "three verdicts", amplifier.play)
+        until(lambda: moves.of("SessionEnd"), 30, "the session's end", amplifier.play)
+        until(lambda: stimulus.poll() is not None, 30, "the stimulus to end", amplifier.play)
+    onsets = [stamp for stamp, message in moves.heard if message["type"] == "MoveOnset"]
+    n_before = design(ChainConfig(), 250.0).n_before
+    for onset, verdict in zip(onsets, verdicts.of("Verdict"), strict=True):
+        assert verdict["outcome"] == "unjudged"
+        assert verdict["clock_offset"] == pytest.approx(-AWAY_S, abs=2e-3)  # LSL measures it to 0.2 ms
+        here = onset + verdict["clock_offset"]
+        assert verdict["first_time"] + n_before / 250 == pytest.approx(here, abs=0.5 / 250 + 1e-9)
 
 
 class Clenching:
