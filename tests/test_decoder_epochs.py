@@ -132,14 +132,15 @@ def test_the_verdict_is_ready_with_the_last_sample() -> None:
 
 @pytest.mark.parametrize("phase", range(0, 9, 2))
 def test_stamps_of_arrival_give_epochs_at_the_right_place(phase: int) -> None:
-    """35 ms chunks stamped on arrival: every epoch is cut, and within half a chunk of where it should be."""
+    """35 ms chunks stamped on arrival: every epoch is cut, at the very sample of even stamps."""
     samples, times = recording(20)
     onsets = (5004 + np.arange(0, 14, 0.7)).tolist()
-    jittered = cut_recording(samples, arrival_stamps(times, 9, phase), onsets, SHAPE)
+    on_arrival = cut_recording(samples, arrival_stamps(times, 9, phase), onsets, SHAPE)
     even = cut_recording(samples, times, onsets, SHAPE)
-    shifts = [a.data[0, 0] - b.data[0, 0] for a, b in zip(jittered, even, strict=True)]
-    assert np.ptp(shifts) <= 1
-    assert np.abs(shifts).max() <= 5
+    shifts = [a.data[0, 0] - b.data[0, 0] for a, b in zip(on_arrival, even, strict=True)]
+    # The stamp a chunk's last sample has on arrival is 80 us late: that can be a sample on a boundary.
+    assert np.abs(shifts).max() <= 1
+    assert np.mean(np.array(shifts) == 0) > 0.9
 
 
 def test_chunks_that_come_a_little_late_and_come_back_are_no_gap() -> None:
