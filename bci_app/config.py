@@ -51,6 +51,9 @@ class CalibrationConfig(Section):
     """Shortest break between blocks."""
     wait_for_key: bool = True
     """After the break wait for the person's key, where there is a window and a person."""
+    eye_movements_s: Seconds = 0.0
+    """Seconds of blinks and looks to the sides, up and down before the first block, for the ocular correction to be
+    learnt from; 30 do. Without, it is learnt from what the eyes do anyway."""
 
 
 class OnlineConfig(Section):

@@ -186,6 +186,7 @@ class Plan:
     moves_per_block : None for a run without blocks.
     break_s : session seconds a break between blocks lasts at least.
     wait_for_key : whether a key ends a break; else time does.
+    eye_movements_s : session seconds of eye movements before the first block.
     """
 
     opening: SessionStart
@@ -197,6 +198,7 @@ class Plan:
     moves_per_block: int | None = None
     break_s: float = 0.0
     wait_for_key: bool = False
+    eye_movements_s: float = 0.0
 
 
 def calibration_plan(
@@ -222,7 +224,16 @@ def calibration_plan(
 
     episodes = random_episodes(world, rng)
     return Plan(
-        opening, seed, episodes, choose, run.max_steps, run.n_blocks, run.moves_per_block, run.break_s, wait_for_key
+        opening,
+        seed,
+        episodes,
+        choose,
+        run.max_steps,
+        run.n_blocks,
+        run.moves_per_block,
+        run.break_s,
+        wait_for_key,
+        run.eye_movements_s,
     )
 
 

@@ -4,9 +4,9 @@ It reads no clock and draws nothing. The shell asks `next_due`, calls `update`, 
 flip with `flipped`, and sends `take_messages`. One step (paper V.A.1) is countdown, jump, arrow, rest, counted from
 the onset, which is the flip that showed the jump::
 
-    READY -> LOOK -> COUNTDOWN -> JUMP -> ARROW -> REST -> COUNTDOWN ... -> DONE
-                      |    ^                        |
-                      HOLD-' (no action yet)        '-> LOOK (next episode) or BREAK -> KEY -> LOOK (next block)
+    READY (-> EYES) -> LOOK -> COUNTDOWN -> JUMP -> ARROW -> REST -> COUNTDOWN ... -> DONE
+                               |    ^                        |
+                               HOLD-' (no action yet)        '-> LOOK (next episode), or BREAK -> KEY -> LOOK
 
 A calibration's block goes on until it has its moves without those whose epochs were rejected: each of these is repeated
 at the end of the block, by a move of the same kind, for at most `MOST_REPEATED` of the block.
@@ -24,6 +24,7 @@ from bci_app.protocol import (
     BlockEnd,
     BlockStart,
     Message,
+    Note,
     Pause,
     Resume,
     RunSeed,
@@ -36,6 +37,7 @@ from stimulus.scene import Scene
 WELCOME = "Watch the red agent on its way to the green goal.\nJudge every move in silence: right or wrong?"
 COMPLETE = "Done. Thank you!"
 STOPPED = "The session has ended."
+EYE_MOVEMENTS = ("Blink", "Look left and right", "Look up and down")
 MOST_REPEATED = 0.5
 """Share of a block's moves that may be repeated: with more rejected, the electrodes want looking at (decided)."""
 
@@ -53,6 +55,7 @@ class Phase(Enum):
     """Where in the paradigm we are."""
 
     READY = auto()  # until `start`
+    EYES = auto()  # the person moves the eyes as told, for the decoder to learn what that looks like
     LOOK = auto()  # a new episode is on the screen: time to find agent and goal
     COUNTDOWN = auto()
     HOLD = auto()  # the countdown is full, the action missing
@@ -66,7 +69,7 @@ class Phase(Enum):
     DONE = auto()
 
 
-_TIMED = (Phase.LOOK, Phase.COUNTDOWN, Phase.ARROW, Phase.REST, Phase.BREAK)
+_TIMED = (Phase.EYES, Phase.LOOK, Phase.COUNTDOWN, Phase.ARROW, Phase.REST, Phase.BREAK)
 
 
 class Paradigm:
@@ -91,6 +94,7 @@ class Paradigm:
         self._repeats = 0  # in this block
         self._walk = Walk(world, self.session, number=-1, cell=0, goal=0, max_steps=0)  # until the first begins
         self._running = False
+        self._eye_task = -1
         self._action: int | None = None  # of the coming move
         self._pause_reason: str | None = None
         self._paused_in = Phase.READY
@@ -185,6 +189,8 @@ class Paradigm:
         match self._phase:
             case Phase.READY:
                 return WELCOME
+            case Phase.EYES:
+                return f"{EYE_MOVEMENTS[self._eye_task]}\nagain and again, and keep your head still."
             case Phase.BREAK:
                 return f"{blocks}\nRelax, and move if you like."
             case Phase.KEY:
@@ -202,7 +208,7 @@ class Paradigm:
         if self._phase is Phase.READY:
             self._send(self._plan.opening, now)
             self._send(RunSeed(session=self.session, seed=self._plan.seed), now, "truth")
-            self._begin_block(now)
+            self._next_eye_movement(now)
 
     def key_start(self, now: float) -> None:
         """The key that ends a break; does nothing before the break's shortest time is over."""
@@ -261,7 +267,7 @@ class Paradigm:
         """
         if self._phase in (Phase.LOOK, Phase.COUNTDOWN, Phase.HOLD):
             self._enter_pause(now, reason)
-        elif self._phase in (Phase.JUMP, Phase.ARROW, Phase.REST, Phase.VERDICT, Phase.BREAK):
+        elif self._phase in (Phase.EYES, Phase.JUMP, Phase.ARROW, Phase.REST, Phase.VERDICT, Phase.BREAK):
             self._pause_reason = reason
 
     def resume(self, now: float) -> None:
@@ -270,7 +276,9 @@ class Paradigm:
         if self._phase is not Phase.PAUSED:
             return
         self._send(Resume(session=self.session), now)
-        if self._paused_in is Phase.BREAK:
+        if self._paused_in is Phase.EYES:
+            self._next_eye_movement(now)
+        elif self._paused_in is Phase.BREAK:
             self._after_break(now)
         elif self._is_undecided():
             self._phase = Phase.VERDICT
@@ -301,6 +309,8 @@ class Paradigm:
                 self._wait(Phase.REST, self._due + self._times.rest_s)
             case _ if self._pause_reason is not None:
                 self._enter_pause(now, self._pause_reason)
+            case Phase.EYES:
+                self._next_eye_movement(now)
             case Phase.REST if self._is_undecided():
                 self._phase = Phase.VERDICT
             case Phase.REST if reason := self._end_reason():
@@ -342,6 +352,16 @@ class Paradigm:
     def _after_verdict(self, now: float) -> None:
         if self._phase is Phase.VERDICT and not self._is_undecided():
             self._wait(Phase.REST, now)
+
+    def _next_eye_movement(self, now: float) -> None:
+        """Ask for the next, or begin the first block after the last."""
+        self._eye_task += 1
+        if self._eye_task >= len(EYE_MOVEMENTS) or not self._plan.eye_movements_s:
+            self._begin_block(now)
+            return
+        task = EYE_MOVEMENTS[self._eye_task]
+        self._send(Note(session=self.session, role="stimulus", level="info", text=f"Eye movements: {task}."), now)
+        self._wait(Phase.EYES, now + self._plan.eye_movements_s / len(EYE_MOVEMENTS))
 
     def _begin_block(self, now: float) -> None:
         self._block_moves = self._repeats = 0

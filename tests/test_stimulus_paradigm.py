@@ -21,6 +21,7 @@ from bci_app.protocol import (
     EpisodeStart,
     Message,
     MoveOnset,
+    Note,
     Pause,
     Resume,
     RunSeed,
@@ -357,6 +358,28 @@ def test_rejected_moves_are_repeated_in_kind_at_the_end_of_their_block(data: st.
             ]
     onsets = [out.stamp for out in runner.of(MoveOnset)]
     assert all(after - before >= 3.0 for before, after in pairwise(onsets))
+
+
+@pytest.mark.parametrize("pause", [False, True])
+def test_eye_movements_come_before_the_first_block(pause: bool) -> None:
+    runner = Runner(calibration(short(2, 3, eye_movements_s=30)))
+    assert runner.paradigm.scene(runner.now).text.startswith("Blink")
+    if pause:
+        runner.paradigm.pause(runner.now + 1, "a question")
+        assert runner.step()
+        assert runner.paradigm.waiting_for == "resume"
+        runner.now += 5
+        runner.paradigm.resume(runner.now)
+    runner.all()
+    notes = [(out.stamp - 100, out.message.text) for out in runner.of(Note) if isinstance(out.message, Note)]
+    delay = 5 * pause
+    assert notes == [
+        (0, "Eye movements: Blink."),
+        (10 + delay, "Eye movements: Look left and right."),
+        (20 + delay, "Eye movements: Look up and down."),
+    ]
+    assert runner.of(BlockStart)[0].stamp == 130 + delay
+    assert len(runner.of(MoveOnset)) == 6
 
 
 def test_verdicts_that_stay_away_end_the_block_all_the_same() -> None:
