@@ -128,9 +128,9 @@ def main() -> None:
             found.append(f)
             print(
                 f"| {asked:.2f}, seed {seed} | {f['original']:.3f} [{f['low']:.3f}, {f['high']:.3f}] "
-                f"| {f['again']:.3f} | {f['transfer']:.3f} | {f['scale']:.2f} | {f['spread']:.2f} | {f['estimated']:.3f} "
-                f"| {f['rehearsal']:.3f} | {f['rehearsal2']:.3f} | {f['online']:.3f} | {f['by_original']:.3f} "
-                f"| {f['seconds']:.0f} |",
+                f"| {f['again']:.3f} | {f['transfer']:.3f} | {f['scale']:.2f} | {f['spread']:.2f} "
+                f"| {f['estimated']:.3f} | {f['rehearsal']:.3f} | {f['rehearsal2']:.3f} "
+                f"| {f['online']:.3f} | {f['by_original']:.3f} | {f['seconds']:.0f} |",
                 flush=True,
             )
     values = {name: np.array([f[name] for f in found]) for name in found[0]}

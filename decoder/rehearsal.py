@@ -155,7 +155,7 @@ class RedrawnBackground:
         angle = np.pi / 2 * (np.arange(self._n_fade)[:, None] + 0.5) / self._n_fade
         self._fade_in, self._fade_out = np.sin(angle), np.cos(angle)
         self._blocks: OrderedDict[int, Array] = OrderedDict()
-        self._orders: OrderedDict[int, Array] = OrderedDict()
+        self._orders: dict[int, NDArray[np.int64]] = {}
 
     def samples(self, start: int, n_times: int) -> Array:
         """Samples from number `start` >= 0 on: float64, (n_times, n_channels), uV."""
@@ -194,7 +194,7 @@ class RedrawnBackground:
                 first + int(rng.integers(length - n * self._n_step - self._n_fade + 1)) + np.arange(n) * self._n_step
                 for first, length, n in self._pieces
             ]
-            remember(self._orders, cycle, rng.permutation(np.concatenate(begins)))
+            self._orders[cycle] = rng.permutation(np.concatenate(begins))
         return self._orders[cycle]
 
 

@@ -20,6 +20,8 @@ SCALES = (0.0, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0)
 """Sizes tried, in the estimated one (decided)."""
 N_DRAWS = 3
 """Rehearsals tried: one of 600 moves has a standard error of two points (decided)."""
+FIRST_RUN = 2**31
+"""Number of the first rehearsal tried: no run has it, so none is one that the size was found on."""
 LEAD_S = 8.0
 """Seconds of EEG before the first move, as in a run."""
 
@@ -73,8 +75,8 @@ def scale_for(
     reached = {size: 0.0 for size in SCALES}
     for draw in range(N_DRAWS):
         # An ErrP of another size is the same plus a multiple of the mean one: features are linear.
-        without, error = watched(replace(likeness, scale=0.0), watch, seed, draw)
-        once, again = watched(replace(likeness, scale=1.0), watch, seed, draw)
+        without, error = watched(replace(likeness, scale=0.0), watch, seed, FIRST_RUN + draw)
+        once, again = watched(replace(likeness, scale=1.0), watch, seed, FIRST_RUN + draw)
         if len(error) != len(again):
             raise SetupError(
                 "An estimated response of this recording is so large that the decoder takes it for an artefact."
