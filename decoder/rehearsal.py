@@ -30,7 +30,7 @@ ELSEWHERE_S = 1.45
 N_WAVES = 3
 """Components taken of each half's response; the made-up ErrP is one, published ones two or three (decided)."""
 RIDGE = 0.05
-"""Part of the mean variance added to the channels' covariance, so that its inverse exists (decided)."""
+"""Part of each channel's variance added to the channels' covariance, so that its inverse exists (decided)."""
 STRETCH_S = 20.0
 """Seconds of background played in one piece (decided): long against the decoder's reach back of 3.3 s."""
 FADE_S = 1.0
@@ -98,9 +98,7 @@ def learn(
             f"Responses can't be learnt from {known.sum()} error and {(~known).sum()} correct moves with EEG around "
             f"them; {2 * N_WAVES} of each are needed. Give a whole calibration."
         )
-    noise = np.concatenate(elsewhere)
-    covariance = noise.T @ noise / len(noise)
-    covariance += RIDGE * np.trace(covariance) / len(names) * np.eye(len(names))
+    covariance = _covariance(np.concatenate(elsewhere))
     errors, corrects = trials[known], trials[~known]
     courses, maps = reproducible(corrects[::2].mean(axis=0), corrects[1::2].mean(axis=0), covariance)
     halves = [errors[part::2].mean(axis=0) - corrects[part::2].mean(axis=0) for part in (0, 1)]
@@ -247,6 +245,21 @@ def _trials(
             known.append(is_error)
     shape = (len(trials), end - begin, samples.shape[1])
     return first, np.array(trials).reshape(shape), np.array(known, dtype=bool)
+
+
+def _covariance(noise: Array) -> Array:
+    """Of the channels of noise, (n_times, n_channels), uV**2, and such that it has an inverse.
+
+    Raises SetupError when most of the channels are flat.
+    """
+    covariance: Array = noise.T @ noise / len(noise)
+    variance = np.diag(covariance)
+    usual = float(np.median(variance))
+    if usual <= 0:
+        raise SetupError("More than half of this recording's channels are flat. Give one whose electrodes had contact.")
+    # A dead channel counts as a usual one, and a bad one for itself only.
+    covariance += np.diag(RIDGE * np.maximum(variance, usual))
+    return covariance
 
 
 def _sizes(

@@ -202,6 +202,18 @@ def test_a_recording_that_is_too_short_or_empty_of_moves_is_refused(recorded: Re
         learn(samples, gaps, onsets.tolist(), error, NAMES, SFREQ)
 
 
+@pytest.mark.parametrize("factor", [0.0, 1000.0])
+def test_a_bad_electrode_doesnt_spoil_the_others(recorded: Recorded, factor: float) -> None:
+    samples, times, onsets, error = recorded
+    broken = samples.copy()
+    broken[:, 4] *= factor
+    found = learn(broken, times, onsets.tolist(), error, NAMES, SFREQ)
+    assert (found.errp_courses.T @ found.errp_maps)[30, 0] == pytest.approx(6, abs=1)
+    assert found.spread == pytest.approx(0.5, abs=0.12)
+    with pytest.raises(SetupError, match="are flat"):
+        learn(broken * 0, times, onsets.tolist(), error, NAMES, SFREQ)
+
+
 def test_what_is_no_number_is_silent(recorded: Recorded) -> None:
     samples, times, onsets, error = recorded
     broken = samples.copy()
