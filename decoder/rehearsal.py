@@ -23,11 +23,11 @@ Array = NDArray[np.float64]
 
 LEVEL_S = 0.1
 """Half of the time over which the EEG's level is taken at a response's beginning and end, s (decided)."""
-TAPER_S = 0.05
-"""Seconds over which a response fades in and out (decided)."""
+MAX_HZ = 15.0
+"""Highest frequency of a response: the ErrP's and the visual response's waves are 50 ms long and more (decided)."""
 ELSEWHERE_S = 1.45
 """Seconds after a move to where the EEG is looked at without a response; moves are 3 s apart (decided)."""
-N_WAVES = 3
+N_COMPONENTS = 3
 """Components taken of each half's response; the made-up ErrP is one, published ones two or three (decided)."""
 RIDGE = 0.05
 """Part of each channel's variance added to the channels' covariance, so that its inverse exists (decided)."""
@@ -47,7 +47,7 @@ class Likeness:
     ----------
     background : float32, (n_times, n_channels), uV, the recording less its responses.
     edges : int64, (n_pieces + 1,), where the recording's gapless pieces begin, and the end.
-    courses, maps : (n_waves, n_response) and (n_waves, n_channels), uV: the response to any move.
+    courses, maps : (n_components, n_response) and (n_components, n_channels), uV: the response to any move.
     errp_courses, errp_maps : the same of what an error adds.
     spread : standard deviation of a trial's ErrP, in mean ErrPs.
     scale : the mean ErrP's size, 1 as estimated. Estimates from noise are never quite what they seem to the decoder;
@@ -93,38 +93,65 @@ def learn(
         )
     first, trials, known = _trials(background, times, onsets, error, sfreq)
     elsewhere = _trials(background, times, [onset + ELSEWHERE_S for onset in onsets], error, sfreq)[1]
-    if min(known.sum(), (~known).sum(), len(elsewhere)) < 2 * N_WAVES:
+    if min(known.sum(), (~known).sum(), len(elsewhere)) < 2 * N_COMPONENTS:
         raise SetupError(
             f"Responses can't be learnt from {known.sum()} error and {(~known).sum()} correct moves with EEG around "
-            f"them; {2 * N_WAVES} of each are needed. Give a whole calibration."
+            f"them; {2 * N_COMPONENTS} of each are needed. Give a whole calibration."
         )
-    covariance = _covariance(np.concatenate(elsewhere))
+    noise = Noise.of(elsewhere)
     errors, corrects = trials[known], trials[~known]
-    courses, maps = reproducible(corrects[::2].mean(axis=0), corrects[1::2].mean(axis=0), covariance)
+    waves = _waves(sfreq)
+    courses, maps = reproducible(corrects[::2].mean(axis=0), corrects[1::2].mean(axis=0), noise)
     halves = [errors[part::2].mean(axis=0) - corrects[part::2].mean(axis=0) for part in (0, 1)]
-    errp_courses, errp_maps = reproducible(halves[0], halves[1], covariance)
-    sizes, spread, kept = _sizes(trials, known, elsewhere, errp_courses.T @ errp_maps, covariance)
+    errp_courses, errp_maps = reproducible(halves[0], halves[1], noise)
+    sizes, spread, kept = _sizes(trials, known, elsewhere, errp_courses.T @ errp_maps, noise)
     for begin, is_error, size in zip(first, known, sizes, strict=True):
-        response = (errors if is_error else corrects).mean(axis=0) + kept * size * (errp_courses.T @ errp_maps)
+        response = waves @ (
+            (errors if is_error else corrects).mean(axis=0) + kept * size * (errp_courses.T @ errp_maps)
+        )
         background[begin : begin + len(response)] -= response.astype(np.float32)
+    courses, errp_courses = courses @ waves.T, errp_courses @ waves.T
     return Likeness(background, edges, courses, maps, errp_courses, errp_maps, spread, 1.0, names, sfreq)
 
 
-def reproducible(one: Array, other: Array, covariance: Array) -> tuple[Array, Array]:
-    """What two halves of the trials agree on: courses (n_waves, n_times) and maps (n_waves, n_channels).
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Covariances of the EEG without responses: the product of one in time and one across channels.
 
-    Each half's mean, (n_times, n_channels), has true response and noise in it. Its singular components, where the
-    channels' noise is white, are made as large as they are in the other half, whose noise is another: so the size of
+    Attributes
+    ----------
+    in_time : (n_waves, n_waves) of the weights of `_waves`, without unit.
+    across : (n_channels, n_channels), uV**2.
+    """
+
+    in_time: Array
+    across: Array
+
+    @classmethod
+    def of(cls, elsewhere: Array) -> "Noise":
+        """From weights of stretches of EEG, (n, n_waves, n_channels). Raises SetupError when most channels are flat."""
+        _, n_waves, n_channels = elsewhere.shape
+        across = _covariance(elsewhere.reshape(-1, n_channels))
+        white = np.linalg.solve(np.linalg.cholesky(across), elsewhere.reshape(-1, n_channels).T)
+        by_time = white.reshape(-1, n_waves)
+        return cls(_covariance(by_time), across)
+
+
+def reproducible(one: Array, other: Array, noise: Noise) -> tuple[Array, Array]:
+    """What two halves of the trials agree on: courses (n_components, n_waves) and maps (n_components, n_channels).
+
+    Each half's mean, (n_waves, n_channels), has true response and noise in it. Its singular components, where the
+    noise is white, are made as large as they are in the other half, whose noise is another: so the size of
     each is unbiased but for the components that the other half hasn't at all, which are left out. Mean of both ways.
     """
-    root = np.linalg.cholesky(covariance)
-    white = [np.linalg.solve(root, half.T).T for half in (one, other)]
+    in_time, across = np.linalg.cholesky(noise.in_time), np.linalg.cholesky(noise.across)
+    white = [np.linalg.solve(across, np.linalg.solve(in_time, half).T).T for half in (one, other)]
     courses, maps = [], []
     for own, test in (white, white[::-1]):
         u, _, vt = np.linalg.svd(own, full_matrices=False)
-        for course, pattern in zip(u.T[:N_WAVES], vt[:N_WAVES], strict=True):
-            courses.append(course)
-            maps.append(max(0.0, float(course @ test @ pattern)) / 2 * root @ pattern)
+        for course, pattern in zip(u.T[:N_COMPONENTS], vt[:N_COMPONENTS], strict=True):
+            courses.append(in_time @ course)
+            maps.append(max(0.0, float(course @ test @ pattern)) / 2 * across @ pattern)
     return np.stack(courses), np.stack(maps)
 
 
@@ -225,33 +252,28 @@ class Rehearsed(Person):
 def _trials(
     samples: NDArray[np.float32], times: Array, onsets: Sequence[float], error: NDArray[np.bool_], sfreq: float
 ) -> tuple[list[int], Array, NDArray[np.bool_]]:
-    """First samples, responses (n_trials, n_response, n_channels) and truth of the moves with EEG all around them.
+    """First samples, responses (n_trials, n_waves, n_channels) and truth of the moves with EEG all around them.
 
-    Each is taken less the line through the EEG's levels at its ends, so it begins and ends at 0 and no drift is in it.
+    Each is taken less the line through the EEG's levels at its ends, so no drift is in it, as the weights of `_waves`.
     """
-    n_level = round(LEVEL_S * sfreq)
+    n_level, waves = round(LEVEL_S * sfreq), _waves(sfreq)
     begin, end = (round(edge * sfreq) for edge in RESPONSE_S)
     results = cut_recording(samples, times, onsets, Shape(sfreq, n_level - begin, end + n_level))
-    taper = np.minimum(1, (np.minimum(np.arange(end - begin), np.arange(end - begin)[::-1]) + 0.5) / (TAPER_S * sfreq))
-    window = np.sin(np.pi / 2 * taper)[:, None] ** 2
     first, trials, known = [], [], []
     for result, is_error in zip(results, error, strict=True):
         if isinstance(result, Epoch):
             data, n_whole = result.data, 2 * n_level
             levels = np.stack([data[:n_whole].mean(axis=0), data[-n_whole:].mean(axis=0)])
             line = _line(np.array([n_level - 0.5, len(data) - n_level - 0.5]), levels, len(data))
-            trials.append(window * (data - line)[n_level:-n_level])
+            trials.append(waves.T @ (data - line)[n_level:-n_level])
             first.append(int(np.flatnonzero(times == result.first_time)[0]) + n_level)
             known.append(is_error)
-    shape = (len(trials), end - begin, samples.shape[1])
+    shape = (len(trials), waves.shape[1], samples.shape[1])
     return first, np.array(trials).reshape(shape), np.array(known, dtype=bool)
 
 
 def _covariance(noise: Array) -> Array:
-    """Of the channels of noise, (n_times, n_channels), uV**2, and such that it has an inverse.
-
-    Raises SetupError when most of the channels are flat.
-    """
+    """Of the columns of noise, (n, n_columns), and such that it has an inverse. SetupError when most are flat."""
     covariance: Array = noise.T @ noise / len(noise)
     variance = np.diag(covariance)
     usual = float(np.median(variance))
@@ -263,22 +285,31 @@ def _covariance(noise: Array) -> Array:
 
 
 def _sizes(
-    trials: Array, error: NDArray[np.bool_], elsewhere: Array, errp: Array, covariance: Array
+    trials: Array, error: NDArray[np.bool_], elsewhere: Array, errp: Array, noise: Noise
 ) -> tuple[Array, float, float]:
     """Size of each trial's ErrP less its class's mean, their true standard deviation, and the part that isn't noise.
 
     The sizes are in mean ErrPs, by a matched filter. Where no move was it shows how much the background alone makes
     them vary; what they vary more is the person's.
     """
-    template = np.linalg.solve(covariance, errp.T).T
+    template = np.linalg.solve(noise.across, np.linalg.solve(noise.in_time, errp).T).T
     norm = float((template * errp).sum())
     if norm <= 0:  # no ErrP
         return np.zeros(len(trials)), 0.0, 0.0
-    sizes, noise = (np.tensordot(part, template, axes=2) / norm for part in (trials, elsewhere))
+    sizes, without = (np.tensordot(part, template, axes=2) / norm for part in (trials, elsewhere))
     for which in (error, ~error):
         sizes[which] -= sizes[which].mean()
-    own = max(0.0, float(sizes.var() - noise.var()))
+    own = max(0.0, float(sizes.var() - without.var()))
     return sizes, float(np.sqrt(own)), own / float(sizes.var())
+
+
+def _waves(sfreq: float) -> Array:
+    """Half sines up to `MAX_HZ`, (n_response, n_waves), orthonormal: responses made of them begin and end at 0."""
+    begin, end = (round(edge * sfreq) for edge in RESPONSE_S)
+    place = (np.arange(end - begin)[:, None] + 1) / (end - begin + 1)
+    number = 1 + np.arange(int(2 * MAX_HZ * (RESPONSE_S[1] - RESPONSE_S[0])))
+    waves: Array = np.sqrt(2 / (end - begin + 1)) * np.sin(np.pi * number * place)
+    return waves
 
 
 def _line(at: Array, levels: Array, n_times: int) -> Array:

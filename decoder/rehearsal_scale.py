@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 Features = Callable[[int, Epoch], Array | Rejection]
 """From a move's number and its epoch to its features."""
 
-SCALES = (0.0, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0)
+SCALES = (0.0, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0)
 """Sizes tried, in the estimated one (decided)."""
 N_DRAWS = 3
 """Rehearsals tried: one of 600 moves has a standard error of two points (decided)."""

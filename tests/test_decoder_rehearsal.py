@@ -15,7 +15,7 @@ from bci_app.recording import Recording
 from bci_app.rehearsing import likeness_of
 from decoder.calibration import contiguous_folds, held_out_log_odds, score
 from decoder.epochs import Epoch, Shape, cut_recording
-from decoder.rehearsal import FADE_S, STRETCH_S, Likeness, RedrawnBackground, Rehearsed, learn, reproducible
+from decoder.rehearsal import FADE_S, STRETCH_S, Likeness, Noise, RedrawnBackground, Rehearsed, learn, reproducible
 from decoder.rehearsal_file import load, save
 from decoder.rehearsal_scale import Watch, scale_for, watched
 
@@ -90,7 +90,7 @@ def test_what_only_one_half_has_is_made_small(seed: int, size: float) -> None:
     rng = np.random.default_rng(seed)
     truth = size * np.outer(COURSE, MAP)
     one, other = (truth + rng.normal(0, 0.3, truth.shape) for _ in range(2))
-    courses, maps = reproducible(one, other, np.eye(6))
+    courses, maps = reproducible(one, other, Noise(np.eye(len(truth)), np.eye(6)))
     error = ((courses.T @ maps - truth) ** 2).sum()
     assert error < (((one + other) / 2 - truth) ** 2).sum()
 
