@@ -58,6 +58,9 @@ DecodabilityOption = Annotated[
 BackgroundOption = Annotated[
     Path | None, typer.Option("--background", help="Recorded EEG (EDF ...) the simulated participant's brain plays.")
 ]
+RehearseOption = Annotated[
+    Path | None, typer.Option("--rehearse", help="Person file that `bci-app rehearse` wrote, as simulated participant.")
+]
 SimulationSeedOption = Annotated[
     int | None, typer.Option("--participant-seed", help="Seed of the simulated participant: who it is.")
 ]
@@ -73,6 +76,7 @@ def calibrate(
     headless: HeadlessOption = False,
     decodability: DecodabilityOption = None,
     background: BackgroundOption = None,
+    rehearse: RehearseOption = None,
     participant_seed: SimulationSeedOption = None,
     session: Annotated[str | None, typer.Option("--session", help="Session id, for --remote processes.")] = None,
     remote: RemoteOption = None,
@@ -82,7 +86,9 @@ def calibrate(
     """Record a calibration: 5 blocks of 120 moves."""
     from bci_app import verbs
 
-    settings = configuration.load(config, _overrides(headless, decodability, background, participant_seed))
+    settings = configuration.load(
+        config, _overrides(headless, decodability, background, participant_seed, rehearse=rehearse)
+    )
     wishes = verbs.Wishes(settings, participant, visit, simulate, speed, seed, session, tuple(remote or ()))
     with progress_bar(as_json) as progress:
         outcome = verbs.calibrate(wishes, progress)
@@ -123,6 +129,7 @@ def online(
     headless: HeadlessOption = False,
     decodability: DecodabilityOption = None,
     background: BackgroundOption = None,
+    rehearse: RehearseOption = None,
     participant_seed: SimulationSeedOption = None,
     no_errp: Annotated[bool, typer.Option("--no-errp", help="Control: the simulated brain doesn't react.")] = False,
     session: Annotated[str | None, typer.Option("--session", help="Session id, for --remote processes.")] = None,
@@ -133,7 +140,9 @@ def online(
     """Run an online session: one episode for each initial distance, steered by the verdicts."""
     from bci_app import verbs
 
-    settings = configuration.load(config, _overrides(headless, decodability, background, participant_seed, no_errp))
+    settings = configuration.load(
+        config, _overrides(headless, decodability, background, participant_seed, no_errp, rehearse)
+    )
     wishes = verbs.Wishes(settings, participant, visit, simulate, speed, seed, session, tuple(remote or ()))
     with progress_bar(as_json) as progress:
         outcome = verbs.online(wishes, map_name, model, policy, below_gate, progress)
@@ -199,6 +208,29 @@ def demo(
         raise typer.Exit(1)
 
 
+@app.command("rehearse", rich_help_panel="Afterwards")
+def rehearse_recording(
+    recording: Annotated[Path, typer.Option("--from", help="The recorded calibration (.xdf) of the person.")],
+    participant: Annotated[
+        str | None,
+        typer.Option("--participant", help="Name of the rehearsal's files; default: the person's REHEARSAL."),
+    ] = None,
+    map_name: Annotated[str | None, typer.Option("--map", help="Go online there as well: open, obstacles ...")] = None,
+    speed: SpeedOption = 24.0,
+    seed: SeedOption = None,
+    config: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a simulated participant of a recorded calibration, calibrate it, and compare it with the original."""
+    from bci_app import rehearsing
+
+    settings = configuration.load(config, _overrides(True, None, None, None))
+    with progress_bar(as_json) as progress:
+        result = rehearsing.rehearse(recording, settings, participant, map_name, speed, seed, progress)
+    hint = f"Next: bci-app online --participant ... --map open --simulate --speed 24 --rehearse {result['person']}"
+    finish(result, as_json, hint)
+
+
 @app.command("config", rich_help_panel="Afterwards")
 def show_config(config: ConfigOption = None) -> None:
     """Print the resolved configuration as JSON."""
@@ -211,10 +243,12 @@ def _overrides(
     background: Path | None,
     participant_seed: int | None,
     no_errp: bool = False,
+    rehearse: Path | None = None,
 ) -> dict[str, Any]:
     simulation = {
         "decodability": decodability,
         "background": str(background) if background else None,
+        "rehearse": str(rehearse.absolute()) if rehearse else None,
         "seed": participant_seed,
         "errp": False if no_errp else None,
     }

@@ -152,6 +152,14 @@ class SimulationConfig(Section):
     """Real seconds of samples a push (decided; 5-30 ms are advised)."""
     background: str | None = None
     """Path of a recording (EDF, XDF, ...) whose EEG replaces the synthetic background."""
+    rehearse: str | None = None
+    """Path of a person that `bci-app rehearse` made; takes the place of the made-up one, decodability and all."""
+
+    @model_validator(mode="after")
+    def _one_person(self) -> Self:
+        if self.background and self.rehearse:
+            raise ValueError("background and rehearse exclude each other: a rehearsed person has a background")
+        return self
 
 
 class Config(Section):

@@ -12,24 +12,25 @@ from bci_app import fitting, metrics, verbs
 from bci_app import replay as replaying
 from bci_app.config import Config
 from bci_app.gridworld import SHIPPED_MAPS
-from bci_app.progress import Progress
+from bci_app.progress import Progress, named
 from bci_app.recording import read
+from bci_app.runs import free_visit
 
 PARTICIPANT = "DEMO"
 
 
 def run(config: Config, speed: float, seed: int, progress: Progress) -> dict[str, Any]:
     """Calibrate, fit, go online on both maps, replay all three; the summary is also written as ``summary.json``."""
-    wishes = verbs.Wishes(config, PARTICIPANT, _free_visit(Path(config.recordings)), True, speed, seed)
-    calibrated = verbs.calibrate(wishes, _named(progress, "1/4 calibrate"))
-    fitted = fitting.fit(Path(calibrated["recording"]), config, False, _named(progress, "2/4 fit"))
+    wishes = verbs.Wishes(config, PARTICIPANT, free_visit(Path(config.recordings), PARTICIPANT), True, speed, seed)
+    calibrated = verbs.calibrate(wishes, named(progress, "1/4 calibrate"))
+    fitted = fitting.fit(Path(calibrated["recording"]), config, False, named(progress, "2/4 fit"))
     runs = {}
     for number, name in enumerate(SHIPPED_MAPS):
         wish = replace(wishes, seed=seed + 1 + number)
-        told = _named(progress, f"3/4 online {name}")
+        told = named(progress, f"3/4 online {name}")
         runs[name] = verbs.online(wish, name, Path(fitted["model"]), None, True, told)
     paths = [Path(calibrated["recording"]), *(Path(told["recording"]) for told in runs.values())]
-    replays = [replaying.replay(path, None, None, False, _named(progress, "4/4 replay")) for path in paths]
+    replays = [replaying.replay(path, None, None, False, named(progress, "4/4 replay")) for path in paths]
     summary = _summary(fitted, runs, replays, paths, speed)
     newest = Path(config.recordings) / "summary.json"
     summary["summary"] = str(newest)
@@ -63,20 +64,6 @@ def _summary(
         "replay_seconds": [result["seconds"] for result in replays],
         "recordings": [str(path) for path in paths],
     }
-
-
-def _free_visit(folder: Path) -> str:
-    number = 1
-    while (folder / f"sub-{PARTICIPANT}" / f"ses-S{number:03d}").exists():
-        number += 1
-    return f"S{number:03d}"
-
-
-def _named(progress: Progress, stage: str) -> Progress:
-    def report(what: str, done: int, total: int) -> None:
-        progress(f"{stage}: {what}", done, total)
-
-    return report
 
 
 def show(summary: dict[str, Any], console: Console) -> None:

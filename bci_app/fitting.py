@@ -32,16 +32,7 @@ def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> d
     path. Raises SetupError when the recording is unusable or holds too few valid epochs.
     """
     progress("reading the recording", 0, 3)
-    sidecar = read_sidecar(path)
-    recording = read(path, allow_damage, eeg_type(sidecar))
-    if not allow_damage:
-        check_untouched(path, sidecar)
-    recording.eeg.check()
-    opening = recording.of(SessionStart)
-    if not opening:
-        raise SetupError(f"{path} holds no SessionStart message: it isn't a whole run of this experiment.")
-    if opening[0][1].task != "calibration":
-        raise SetupError(f"{path} is an {opening[0][1].task} run; a decoder is fitted on a calibration. Give that one.")
+    recording, participant = read_calibration(path, allow_damage)
     progress("cutting epochs", 1, 3)
     epochs = labelled(recording, config)
     progress("cross-validating", 2, 3)
@@ -51,7 +42,7 @@ def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> d
         epochs.error,
         design(config.chain, recording.eeg.sfreq),
         config.classifier,
-        participant=opening[0][1].participant,
+        participant=participant,
         channels=recording.eeg.picked,
         n_rejected=len(epochs.moves) - len(epochs.error),
         eyes=epochs.eyes.eyes,
@@ -69,6 +60,21 @@ def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> d
     return {"calibration": figures, "model": str(target)}
 
 
+def read_calibration(path: Path, allow_damage: bool) -> tuple[Recording, str]:
+    """A recorded calibration and the participant's name. Raises SetupError when it is unusable, or another task's."""
+    sidecar = read_sidecar(path)
+    recording = read(path, allow_damage, eeg_type(sidecar))
+    if not allow_damage:
+        check_untouched(path, sidecar)
+    recording.eeg.check()
+    opening = recording.of(SessionStart)
+    if not opening:
+        raise SetupError(f"{path} holds no SessionStart message: it isn't a whole run of this experiment.")
+    if opening[0][1].task != "calibration":
+        raise SetupError(f"{path} is an {opening[0][1].task} run; a decoder is fitted on a calibration. Give that one.")
+    return recording, opening[0][1].participant
+
+
 @dataclass(frozen=True, eq=False)
 class Labelled:
     """A recording's valid epochs with their truth.
@@ -76,6 +82,7 @@ class Labelled:
     Attributes
     ----------
     moves : all moves; `reasons` why some have no epoch that can be judged.
+    valid : those that have one, and a truth.
     features, error : float64, (n_valid, n_features), uV, and bool, (n_valid,), whether each move was an error.
     eyes : the ocular correction that was applied.
     ocular : float64, (n_valid, n_sources * n_windows), the same windows of the ocular sources alone.
@@ -83,6 +90,7 @@ class Labelled:
 
     moves: list[Move]
     reasons: Counter[str]
+    valid: list[Move]
     features: NDArray[np.float64]
     error: NDArray[np.bool_]
     eyes: Learnt
@@ -96,17 +104,18 @@ def labelled(recording: Recording, config: Config) -> Labelled:
     correction = ocular(eyes.eyes.weights, eyes.eyes.sources) if eyes.eyes else None
     judge = judge_without(config, recording.eeg, "", correction)
     judge_of, moves = judges(judge, decisions), cut_moves(recording, judge.shape)
-    rows, by_eyes, error, reasons = [], [], [], Counter[str]()
+    valid, rows, by_eyes, error, reasons = [], [], [], [], Counter[str]()
     for move in moves:
         key, row = (move.episode, move.step), judge_of(move.episode).features(move.result)
         if isinstance(row, Rejection):
             reasons[row.reason] += 1
         elif key in known and isinstance(move.result, Epoch):
+            valid.append(move)
             rows.append(row)
             error.append(known[key])
             if eyes.alone is not None:
                 by_eyes.append(features(move.result.data, judge.operator, eyes.alone))
-    return Labelled(moves, reasons, np.array(rows), np.array(error, dtype=bool), eyes, np.array(by_eyes))
+    return Labelled(moves, reasons, valid, np.array(rows), np.array(error, dtype=bool), eyes, np.array(by_eyes))
 
 
 def _by_eyes_alone(epochs: Labelled, config: Config) -> calibration.Scores | None:

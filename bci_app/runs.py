@@ -90,6 +90,14 @@ def new_run(folder: Path, participant: str, visit: str, task: str) -> Run:
     return run
 
 
+def free_visit(folder: Path, participant: str) -> str:
+    """The first of S001, S002 ... that the participant hasn't got."""
+    number = 1
+    while (folder / f"sub-{participant}" / f"ses-S{number:03d}").exists():
+        number += 1
+    return f"S{number:03d}"
+
+
 def _files(run: Run) -> Iterator[Path]:
     return run.stem.parent.glob(f"{run.stem.name}_*")
 

@@ -55,7 +55,7 @@ class Wishes:
 
 def calibrate(wishes: Wishes, progress: Progress) -> dict[str, Any]:
     """Conduct a calibration; its outcome with the recording's path."""
-    _check(wishes)
+    check(wishes)
     load_map(wishes.config.calibration.map)
     if not wishes.simulate:
         _look_at_eeg(wishes.config)
@@ -78,7 +78,7 @@ def online(
 
     Raises SetupError for a missing or unfit model or policy.
     """
-    _check(wishes)
+    check(wishes)
     world = load_map(map_name)
     from decoder.model import fit_stream, load
 
@@ -190,7 +190,8 @@ def _order(model: Path) -> tuple[str, str, int]:
     return model.parent.parent.name, stem, int(number.removeprefix("-") or 1)
 
 
-def _check(wishes: Wishes) -> None:
+def check(wishes: Wishes) -> None:
+    """Raises SetupError for what is wrong whatever the hardware."""
     check_label(wishes.participant, "--participant")
     check_label(wishes.visit, "--visit")
     if wishes.speed != 1.0 and not wishes.simulate:

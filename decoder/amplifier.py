@@ -11,7 +11,9 @@ from bci_app.lsl import EegOutlet, MessageInlet
 from bci_app.peer import Peer
 from bci_app.protocol import AMPLIFIER_NOTES, STIMULUS, TRUTH, SessionEnd, Truth, simulated_source_id
 from decoder.background import read_background
-from decoder.participant import Participant
+from decoder.participant import Participant, Person
+from decoder.rehearsal import Rehearsed
+from decoder.rehearsal_file import load
 
 LOOK_EVERY = 10
 """Rounds between two looks for the stimulus's streams, while they are not found: a look takes time from the play."""
@@ -30,8 +32,10 @@ def run(config: Config, session: str, clock: Clock, parent: int | None = None) -
     peer.linger(player.play)
 
 
-def make_participant(config: SimulationConfig, t0: float) -> Participant:
+def make_participant(config: SimulationConfig, t0: float) -> Person:
     """The participant of the configuration; sample 0 is taken at session time `t0`."""
+    if config.rehearse:
+        return Rehearsed(load(Path(config.rehearse)), config.seed, config.errp, t0=t0, run=config.run)
     background = read_background(Path(config.background), config.sfreq, config.run) if config.background else None
     return Participant(
         config.seed, config.sfreq, config.decodability, config.errp, background=background, t0=t0, run=config.run

@@ -1,5 +1,6 @@
 """A participant to rehearse with: EEG that answers moves, and answers errors with an error-related potential."""
 
+from abc import ABC, abstractmethod
 from bisect import bisect_left, insort
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -46,55 +47,35 @@ LATE = (Wave(4.0, 0.36, 0.070),)
 
 
 @dataclass(frozen=True, eq=False)
-class _Answer:
-    first: int  # sample
-    courses: Array  # (3, n_times)
+class Answer:
+    """The response to one move: ``courses.T @ maps``, uV.
+
+    Attributes
+    ----------
+    first : number of its first sample.
+    courses : (n_waves, n_times).
+    maps : (n_waves, n_channels), shared by the answers of a person.
+    """
+
+    first: int
+    courses: Array
+    maps: Array
 
 
-class Participant:
-    """EEG of a person who watches moves.
+class Person(ABC):
+    """EEG of somebody who watches moves: an answer to each is laid over a background.
 
     Parameters
     ----------
-    seed : the same seed gives the same person, to the bit.
-    sfreq : rate, Hz.
-    decodability : balanced accuracy that our decoder reaches on this person in cross-validation over 600 moves;
-        measured for the synthetic background, in a recorded one it is some points lower.
-    errp : False: error moves are answered like correct ones.
-    background : the EEG to answer in; synthetic by default. Its rate and channels are used then.
+    background : the EEG to answer in.
     t0 : session time of sample 0, s.
-    run : another number, another hour of the same person: other noise and other single trials.
-
-    Notes
-    -----
-    Each move evokes ``common + gain * ErrP`` with normal gains of one variance; an error moves their mean up. The
-    gains vary more than the EEG around them and are stratified, so that 600 moves of any seed come closer to the
-    decodability asked for than chance allows independent moves: within 0.03 for nine seeds in ten (measured).
     """
 
-    def __init__(
-        self,
-        seed: int,
-        sfreq: float = 500.0,
-        decodability: float = 0.75,
-        errp: bool = True,
-        *,
-        background: Background | None = None,
-        t0: float = 0.0,
-        run: int = 0,
-    ) -> None:
-        self._background = background or SyntheticBackground(seed, sfreq, run)
-        self._moment = moment(seed, run)
+    def __init__(self, background: Background, t0: float) -> None:
+        self._background = background
         self._t0 = t0
-        self._mean_uv = GAIN_UV * separation(decodability) if errp else 0.0
-        rng = np.random.default_rng([seed, 3])
-        self._tempo = rng.uniform(0.95, 1.05)
-        where = directions(self.names)
-        # Centred between FCz and Fz, a few centimetres wide; every person a little different.
-        errp_map = bump(where, (rng.normal(0, 0.05), 0.6 + rng.normal(0, 0.1), 0.85), 0.55)
-        self._maps = np.stack([errp_map, bump(where, (0, -1, 0.1), 0.45), bump(where, (0, -0.5, 0.9), 0.6)])
         self._n_moves = [0, 0]
-        self._answers: list[_Answer] = []
+        self._answers: list[Answer] = []
         self._recent: OrderedDict[int, Array] = OrderedDict()
         self._rendered = 0
 
@@ -135,13 +116,60 @@ class Participant:
         self._rendered = max(self._rendered, start + n_times)
         return samples.astype(np.float32)
 
-    def _mixed(self, answer: _Answer) -> Array:
+    def _mixed(self, answer: Answer) -> Array:
         key = id(answer)
         if key not in self._recent:
-            remember(self._recent, key, answer.courses.T @ self._maps)
+            remember(self._recent, key, answer.courses.T @ answer.maps)
         return self._recent[key]
 
-    def _answer(self, onset: float, error: bool, number: int) -> _Answer:
+    @abstractmethod
+    def _answer(self, onset: float, error: bool, number: int) -> Answer:
+        """The answer to a class's move `number`, at `onset` s after sample 0, all of it within `RESPONSE_S`."""
+
+
+class Participant(Person):
+    """A made-up person.
+
+    Parameters
+    ----------
+    seed : the same seed gives the same person, to the bit.
+    sfreq : rate, Hz.
+    decodability : balanced accuracy that our decoder reaches on this person in cross-validation over 600 moves;
+        measured for the synthetic background, in a recorded one it is some points lower.
+    errp : False: error moves are answered like correct ones.
+    background : the EEG to answer in; synthetic by default. Its rate and channels are used then.
+    t0 : session time of sample 0, s.
+    run : another number, another hour of the same person: other noise and other single trials.
+
+    Notes
+    -----
+    Each move evokes ``common + gain * ErrP`` with normal gains of one variance; an error moves their mean up. The
+    gains vary more than the EEG around them and are stratified, so that 600 moves of any seed come closer to the
+    decodability asked for than chance allows independent moves: within 0.03 for nine seeds in ten (measured).
+    """
+
+    def __init__(
+        self,
+        seed: int,
+        sfreq: float = 500.0,
+        decodability: float = 0.75,
+        errp: bool = True,
+        *,
+        background: Background | None = None,
+        t0: float = 0.0,
+        run: int = 0,
+    ) -> None:
+        super().__init__(background or SyntheticBackground(seed, sfreq, run), t0)
+        self._moment = moment(seed, run)
+        self._mean_uv = GAIN_UV * separation(decodability) if errp else 0.0
+        rng = np.random.default_rng([seed, 3])
+        self._tempo = rng.uniform(0.95, 1.05)
+        where = directions(self.names)
+        # Centred between FCz and Fz, a few centimetres wide; every person a little different.
+        errp_map = bump(where, (rng.normal(0, 0.05), 0.6 + rng.normal(0, 0.1), 0.85), 0.55)
+        self._maps = np.stack([errp_map, bump(where, (0, -1, 0.1), 0.45), bump(where, (0, -0.5, 0.9), 0.6)])
+
+    def _answer(self, onset: float, error: bool, number: int) -> Answer:
         rng = np.random.default_rng([self._moment, 4, int(error), number])
         gain = GAIN_UV * stratified_normal(self._moment, int(error), number) + (self._mean_uv if error else 0.0)
         visual, late = rng.normal(1, 0.15, 2)
@@ -149,7 +177,7 @@ class Participant:
         last = floor((onset + RESPONSE_S[1]) * self.sfreq)
         seconds = (np.arange(first, last + 1) / self.sfreq - onset) / self._tempo - rng.normal(0, LATENCY_S)
         courses = [gain * _course(ERRP, seconds), visual * _course(VISUAL, seconds), late * _course(LATE, seconds)]
-        return _Answer(first, np.stack(courses))
+        return Answer(first, np.stack(courses), self._maps)
 
 
 def separation(decodability: float) -> float:
