@@ -90,9 +90,8 @@ def main() -> None:
             show("participants", number - 1, options.participants)
             people.append(figures(number, options.dead))
     values = {name: np.array([person[name] for person in people]) for name in people[0]}
-    print(
-        f"{options.dead} dead of 64: found {values['found'].mean():.1%}; good ones called bad {values['wrongly'].mean():.2%}"
-    )
+    found, wrongly = values["found"].mean(), values["wrongly"].mean()
+    print(f"{options.dead} dead of 64: found {found:.1%}; good ones called bad {wrongly:.2%}")
     table = Table("balanced accuracy", "all good", "dead and repaired", "difference, points", "worst person")
     for when, label in (("CV", "dead in the calibration too"), ("online", "dead after it, fresh moves")):
         change = 100 * (values[f"{when} dead"] - values[f"{when} whole"])
