@@ -108,8 +108,14 @@ class EyesConfig(Section):
 
 
 class ClassifierConfig(Section):
-    """Shrinkage LDA and its evaluation (paper V.A.5)."""
+    """The linear classifier and its evaluation (paper V.A.5)."""
 
+    covariance: Literal["separable", "ledoit-wolf"] = "separable"
+    """LDA's covariance: channels times windows, or as in the paper, shrunk towards its own diagonal. The first is right
+    TODO more often."""
+    estimator: Annotated[str, Field(min_length=1)] | None = None
+    """Instead of LDA: a scikit-learn classifier of one's own as "module:factory", linear, two classes. It is fitted
+    without `prior_error`, so let it balance the classes itself."""
     prior_error: Annotated[float, Field(gt=0, lt=1)] = 0.5
     """Class prior of `error`; set, not taken from the blocks' error rate (decided)."""
     n_folds: Annotated[int, Field(ge=2)] = 10
