@@ -111,8 +111,8 @@ class ClassifierConfig(Section):
     """The linear classifier and its evaluation (paper V.A.5)."""
 
     covariance: Literal["separable", "ledoit-wolf"] = "separable"
-    """How LDA learns the noise: as a covariance of channels times one of windows (decided: more often right on every kind
-    of simulated people, see `benchmarks/decoder_classifiers.py`), or as in the paper."""
+    """How LDA learns the noise: as a covariance of channels times one of windows (decided: more often right on every
+    kind of simulated people, see `benchmarks/decoder_classifiers.py`), or as in the paper."""
     estimator: Annotated[str, Field(min_length=1)] | None = None
     """Instead of LDA: a scikit-learn classifier of one's own as "module:factory", linear, two classes. It is fitted
     without `prior_error`, so let it balance the classes itself."""
