@@ -208,24 +208,31 @@ def logistic(session: Session, train: NDArray[np.int64], test: NDArray[np.int64]
     return model.fit(session.features[train], session.error[train]).decision_function(session.features[test])
 
 
-def riemann(session: Session, train: NDArray[np.int64], test: NDArray[np.int64]) -> Array:
-    """XDAWN covariances, tangent space, logistic regression."""
-    from pyriemann.estimation import XdawnCovariances
-    from pyriemann.tangentspace import TangentSpace
-    from sklearn.linear_model import LogisticRegression
-    from sklearn.pipeline import make_pipeline
+def riemann(evoked: str, shrinkage: float) -> Judged:
+    """XDAWN covariances, tangent space, logistic regression.
 
-    # Of a common average, and of synthetic EEG, some dimensions are all but empty: unshrunk, xDAWN would choose those.
-    by_channel = session.epochs[train].transpose(1, 0, 2).reshape(session.epochs.shape[1], -1)
-    noise = by_channel @ by_channel.T / by_channel.shape[1]
-    noise += 1e-3 * np.trace(noise) / len(noise) * np.eye(len(noise))
-    model = make_pipeline(
-        XdawnCovariances(4, estimator="oas", xdawn_estimator="scm", baseline_cov=noise),
-        TangentSpace(),
-        LogisticRegression(C=0.1, class_weight="balanced", max_iter=2000),
-    )
-    error = session.error.astype(int)
-    return model.fit(session.epochs[train], error[train]).decision_function(session.epochs[test])
+    ``evoked`` estimates the evoked responses' covariance for xDAWN, and that of all EEG is shrunk: of a common average,
+    and of synthetic EEG, some dimensions are all but empty, and xDAWN with "oas" and without shrinkage chooses those.
+    """
+
+    def judged(session: Session, train: NDArray[np.int64], test: NDArray[np.int64]) -> Array:
+        from pyriemann.estimation import XdawnCovariances
+        from pyriemann.tangentspace import TangentSpace
+        from sklearn.linear_model import LogisticRegression
+        from sklearn.pipeline import make_pipeline
+
+        by_channel = session.epochs[train].transpose(1, 0, 2).reshape(session.epochs.shape[1], -1)
+        noise = by_channel @ by_channel.T / by_channel.shape[1]
+        noise += shrinkage * np.trace(noise) / len(noise) * np.eye(len(noise))
+        model = make_pipeline(
+            XdawnCovariances(4, estimator="oas", xdawn_estimator=evoked, baseline_cov=noise),
+            TangentSpace(),
+            LogisticRegression(C=0.1, class_weight="balanced", max_iter=2000),
+        )
+        error = session.error.astype(int)
+        return model.fit(session.epochs[train], error[train]).decision_function(session.epochs[test])
+
+    return judged
 
 
 CLASSIFIERS: dict[str, Judged] = {
@@ -238,7 +245,10 @@ CLASSIFIERS: dict[str, Judged] = {
     "LDA, shrunk by 0.1": lda(lambda rows: shrunk(rows, 0.1)),
     "LDA, shrunk by 0.4": lda(lambda rows: shrunk(rows, 0.4)),
     "logistic regression": logistic,
-} | ({"xDAWN + Riemann": riemann} if find_spec("pyriemann") else {})
+}
+if find_spec("pyriemann"):
+    CLASSIFIERS["xDAWN + Riemann"] = riemann("scm", 1e-3)
+    CLASSIFIERS["xDAWN by OAS + Riemann"] = riemann("oas", 1e-3)
 
 
 def measure(session: Session, judged: Judged, n_train: int) -> tuple[float, float, float]:
