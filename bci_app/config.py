@@ -111,8 +111,14 @@ class EyesConfig(Section):
 
 
 class ClassifierConfig(Section):
-    """Shrinkage LDA and its evaluation (paper V.A.5)."""
+    """The linear classifier and its evaluation (paper V.A.5)."""
 
+    covariance: Literal["separable", "ledoit-wolf"] = "separable"
+    """How LDA learns the noise: as a covariance of channels times one of windows (decided: more often right on every
+    kind of simulated people, see `benchmarks/decoder_classifiers.py`), or as in the paper."""
+    estimator: Annotated[str, Field(min_length=1)] | None = None
+    """Instead of LDA: a scikit-learn classifier of one's own as "module:factory", linear, two classes. It is fitted
+    without `prior_error`, so let it balance the classes itself."""
     prior_error: Annotated[float, Field(gt=0, lt=1)] = 0.5
     """Class prior of `error`; set, not taken from the blocks' error rate (decided)."""
     n_folds: Annotated[int, Field(ge=2)] = 10

@@ -36,7 +36,7 @@ def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> d
     progress("cutting epochs", 1, 3)
     epochs = labelled(recording, config)
     progress("cross-validating", 2, 3)
-    result = calibration.calibrate(epochs.features, epochs.error, config.classifier)
+    result = calibration.calibrate(epochs.features, epochs.error, config.classifier, config.chain.n_windows)
     fitted = model.make_model(
         result,
         epochs.error,
@@ -123,7 +123,9 @@ def _by_eyes_alone(epochs: Labelled, config: Config) -> calibration.Scores | Non
     if not len(epochs.ocular):
         return None
     folds = calibration.contiguous_folds(epochs.error, config.classifier)
-    log_odds = calibration.held_out_log_odds(epochs.ocular, epochs.error, config.classifier, folds)
+    log_odds = calibration.held_out_log_odds(
+        epochs.ocular, epochs.error, config.classifier, folds, config.chain.n_windows
+    )
     return calibration.score(log_odds, epochs.error)
 
 

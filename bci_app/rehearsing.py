@@ -91,7 +91,7 @@ def likeness_of(recording: Recording, config: Config, progress: Progress) -> tup
         )
     progress("cross-validating the original", 1, 3)
     n = min(n_asked, len(epochs.error))
-    original = calibrate(epochs.features[:n], epochs.error[:n], config.classifier)
+    original = calibrate(epochs.features[:n], epochs.error[:n], config.classifier, config.chain.n_windows)
     onsets = _onsets(recording, epochs)
     microvolts = recording.eeg.in_microvolts(recording.samples)
     names = tuple(recording.eeg.picked)
@@ -99,7 +99,7 @@ def likeness_of(recording: Recording, config: Config, progress: Progress) -> tup
     progress("finding the ErrP's size", 2, 3)
     watch = _watch(recording, config, epochs, onsets, n)
     accuracy = original.blocked.balanced_accuracy.value
-    scale, _ = scale_for(likeness, accuracy, watch, config.classifier, config.simulation.seed)
+    scale, _ = scale_for(likeness, accuracy, watch, config.classifier, config.chain.n_windows, config.simulation.seed)
     return replace(likeness, scale=scale), original
 
 

@@ -63,7 +63,7 @@ def measure(seed: int, decodability: float, n_blocks: int = 2, phase: str = "min
         "speed": speed,
     }
     if n_blocks > 1:
-        classifier = fit(known, truth, config.prior_error)
+        classifier = fit(known, truth, config)
         fresh = np.array([classifier.log_odds(row) for row in rows[N_MOVES:]])
         figures["fresh"] = score(fresh, error[N_MOVES:]).balanced_accuracy.value
     return figures

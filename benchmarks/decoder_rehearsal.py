@@ -76,7 +76,7 @@ def measure(seed: int, decodability: float, background: Background | None, n: in
 
     likeness = learn(samples, times, onsets[:n].tolist(), error[:n], person.names, person.sfreq)
     watch = Watch(onsets[:n].tolist(), error[:n], shape, lambda _, epoch: features(epoch.data, operator, spatial))
-    scale, _ = scale_for(likeness, original.value, watch, CONFIG, seed)
+    scale, _ = scale_for(likeness, original.value, watch, CONFIG, ChainConfig().n_windows, seed)
     likeness = replace(likeness, scale=scale)
     # Other moves, at other times, than the scale was found on.
     other_onsets, other_error = moves(seed + 1000, n)
@@ -84,9 +84,9 @@ def measure(seed: int, decodability: float, background: Background | None, n: in
     as_estimated = blocked(*watched(replace(likeness, scale=1.0), other, seed, 100))
     first, truth = watched(likeness, other, seed, 100)
     second, second_truth = watched(likeness, other, seed, 101)
-    classifier = fit(first, truth, CONFIG.prior_error)
+    classifier = fit(first, truth, CONFIG)
     online = score(np.array([classifier.log_odds(row) for row in second]), second_truth).balanced_accuracy
-    theirs = fit(rows[:n], error[:n], CONFIG.prior_error)
+    theirs = fit(rows[:n], error[:n], CONFIG)
     transfer = score(np.array([theirs.log_odds(row) for row in rows[n:]]), error[n:]).balanced_accuracy
     by_original = score(np.array([theirs.log_odds(row) for row in first]), truth).balanced_accuracy
     return {

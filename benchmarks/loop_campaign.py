@@ -105,7 +105,7 @@ def controls(campaign: Campaign, table: Table) -> None:
     table.add_row("CV balanced accuracy, labels permuted", text)
     before = settings.model_copy(update={"chain": settings.chain.model_copy(update={"start_ms": -450.0})})
     epochs = labelled(recording, before)
-    scores = calibrate(epochs.features, epochs.error, settings.classifier)
+    scores = calibrate(epochs.features, epochs.error, settings.classifier, settings.chain.n_windows)
     for name, found in (("tenfold", scores.tenfold), ("contiguous", scores.blocked)):
         value = found.balanced_accuracy
         table.add_row(f"450 ms before the move, {name} folds", f"{value.value:.3f} [{value.low:.3f}, {value.high:.3f}]")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest, rankdata
 
-from bci_app.config import ClassifierConfig
+from bci_app.config import ChainConfig, ClassifierConfig
 from bci_app.errors import SetupError
 from decoder.classifier import LinearClassifier, fit
 
@@ -74,20 +74,23 @@ class Calibration:
     blocked_log_odds: Array
 
 
-def calibrate(features: Array, error: Labels, config: ClassifierConfig) -> Calibration:
+def calibrate(
+    features: Array, error: Labels, config: ClassifierConfig, n_windows: int = ChainConfig().n_windows
+) -> Calibration:
     """Cross-validate, then fit on all.
 
     Parameters
     ----------
     features : float64, (n_epochs, n_features), uV, in the order of recording.
     error : bool, (n_epochs,), True for error moves.
+    n_windows : of each channel's features.
 
     Raises SetupError when a class has too few epochs.
     """
     check_counts(error, config)
-    tenfold = held_out_log_odds(features, error, config, stratified_folds(error, config))
-    blocked = held_out_log_odds(features, error, config, contiguous_folds(error, config))
-    classifier = fit(features, error, config.prior_error)
+    tenfold = held_out_log_odds(features, error, config, stratified_folds(error, config), n_windows)
+    blocked = held_out_log_odds(features, error, config, contiguous_folds(error, config), n_windows)
+    classifier = fit(features, error, config, n_windows)
     return Calibration(classifier, score(tenfold, error), score(blocked, error), tenfold, blocked)
 
 
@@ -122,23 +125,34 @@ def contiguous_folds(error: Labels, config: ClassifierConfig) -> list[Fold]:
     return folds
 
 
-def held_out_log_odds(features: Array, error: Labels, config: ClassifierConfig, folds: Iterable[Fold]) -> Array:
+def held_out_log_odds(
+    features: Array,
+    error: Labels,
+    config: ClassifierConfig,
+    folds: Iterable[Fold],
+    n_windows: int = ChainConfig().n_windows,
+) -> Array:
     """Log odds of each epoch by a classifier that hasn't seen it; float64, (n_epochs,)."""
     log_odds = np.full(len(error), np.nan)
     for train, test in folds:
-        classifier = fit(features[train], error[train], config.prior_error)
+        classifier = fit(features[train], error[train], config, n_windows)
         log_odds[test] = [classifier.log_odds(row) for row in features[test]]
     return log_odds
 
 
 def permuted_accuracies(
-    features: Array, error: Labels, config: ClassifierConfig, n_permutations: int, rng: np.random.Generator
+    features: Array,
+    error: Labels,
+    config: ClassifierConfig,
+    n_permutations: int,
+    rng: np.random.Generator,
+    n_windows: int = ChainConfig().n_windows,
 ) -> Array:
     """Balanced accuracies of stratified cross-validation on shuffled labels: what chance looks like on these data."""
     accuracies = []
     for _ in range(n_permutations):
         shuffled = rng.permutation(error)
-        log_odds = held_out_log_odds(features, shuffled, config, stratified_folds(shuffled, config))
+        log_odds = held_out_log_odds(features, shuffled, config, stratified_folds(shuffled, config), n_windows)
         accuracies.append(score(log_odds, shuffled).balanced_accuracy.value)
     return np.array(accuracies)
 

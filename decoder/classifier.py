@@ -1,4 +1,4 @@
-"""Shrinkage LDA (paper V.A.5), reduced to weights and a bias."""
+"""Linear classifiers, reduced to weights and a bias: separable LDA, the paper's shrinkage LDA, or one's own."""
 
 from dataclasses import dataclass
 from math import fsum, log
@@ -6,6 +6,11 @@ from math import fsum, log
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
+
+from bci_app.config import ChainConfig, ClassifierConfig
+from bci_app.errors import SetupError
+from decoder.estimator import estimator_weights
+from decoder.separable import separable_weights
 
 Array = NDArray[np.float64]
 
@@ -31,23 +36,48 @@ class LinearClassifier:
         return fsum([*(self.weights * features).tolist(), self.bias])
 
 
-def fit(features: Array, error: NDArray[np.bool_], prior_error: float = 0.5) -> LinearClassifier:
+def fit(
+    features: Array, error: NDArray[np.bool_], config: ClassifierConfig, n_windows: int = ChainConfig().n_windows
+) -> LinearClassifier:
     """Fit on (n_epochs, n_features) uV and (n_epochs,) labels; True is `error`.
+
+    Parameters
+    ----------
+    n_windows : of each channel's features, which follow each other; only the separable covariance needs to know.
+
+    Raises SetupError for an estimator that can't be used, or features that are not so many windows of each channel.
 
     Notes
     -----
-    Each class's covariance is shrunk towards its own diagonal (`shrunk_covariance`). The class priors are set, not
-    counted; they also weigh the two classes' covariances. The same as scikit-learn's ``LinearDiscriminantAnalysis``
-    with ``solver="lsqr", shrinkage="auto"``, which solves by least squares where a Cholesky factor does: 5 times faster
-    at 600 x 960, which counts where learning curves take hundreds of fits.
+    The class priors are set, not counted. An estimator of one's own brings its own.
     """
+    if config.estimator is not None:
+        return LinearClassifier(*estimator_weights(config.estimator, features, error))
     of_errors, of_corrects = features[error], features[~error]
-    means = np.stack((of_corrects.mean(axis=0), of_errors.mean(axis=0)))
+    if config.covariance == "separable":
+        if features.shape[1] % n_windows:
+            raise SetupError(
+                f"Features should be {n_windows} windows of each channel, found {features.shape[1]} of them. Give the "
+                "n_windows of their chain, or set classifier.covariance to ledoit-wolf."
+            )
+        weights = separable_weights(of_corrects, of_errors, n_windows)
+    else:
+        weights = shrinkage_weights(of_corrects, of_errors, config.prior_error)
+    halfway = (of_corrects.mean(axis=0) + of_errors.mean(axis=0)) / 2
+    prior = log(config.prior_error / (1 - config.prior_error))
+    return LinearClassifier(weights, float(prior - weights @ halfway))
+
+
+def shrinkage_weights(of_corrects: Array, of_errors: Array, prior_error: float) -> Array:
+    """Weights of the paper's shrinkage LDA (V.A.5), (n_features,), from (n_epochs, n_features) uV of each class.
+
+    Each class's covariance is shrunk towards its own diagonal (`shrunk_covariance`), and the two weighed by the priors.
+    The same as scikit-learn's ``LinearDiscriminantAnalysis`` with ``solver="lsqr", shrinkage="auto"``, which solves by
+    least squares where a Cholesky factor does: 5 times faster at 600 x 960.
+    """
     covariance = (1 - prior_error) * shrunk_covariance(of_corrects) + prior_error * shrunk_covariance(of_errors)
-    solved = linalg.cho_solve(linalg.cho_factor(covariance, overwrite_a=True), means.T)
-    of_class = -0.5 * (means * solved.T).sum(axis=1)
-    weights = solved[:, 1] - solved[:, 0]
-    return LinearClassifier(weights, float(of_class[1] - of_class[0] + log(prior_error / (1 - prior_error))))
+    difference = of_errors.mean(axis=0) - of_corrects.mean(axis=0)
+    return np.asarray(linalg.cho_solve(linalg.cho_factor(covariance, overwrite_a=True), difference))
 
 
 def shrunk_covariance(features: Array) -> Array:

@@ -63,13 +63,14 @@ def watched(likeness: Likeness, watch: Watch, seed: int, run: int) -> tuple[Arra
 
 
 def scale_for(
-    likeness: Likeness, accuracy: float, watch: Watch, config: ClassifierConfig, seed: int
+    likeness: Likeness, accuracy: float, watch: Watch, config: ClassifierConfig, n_windows: int, seed: int
 ) -> tuple[float, dict[float, float]]:
     """The size of the ErrP, in the estimated one, and the balanced accuracy of each size tried.
 
     Parameters
     ----------
     accuracy : balanced, over contiguous folds, to be reached by a decoder calibrated on as many moves.
+    n_windows : of each channel's features.
     seed : of the rehearsals tried.
     """
     reached = {size: 0.0 for size in SCALES}
@@ -83,7 +84,7 @@ def scale_for(
             )
         folds = contiguous_folds(error, config)
         for size in SCALES:
-            log_odds = held_out_log_odds(without + size * (once - without), error, config, folds)
+            log_odds = held_out_log_odds(without + size * (once - without), error, config, folds, n_windows)
             reached[size] += score(log_odds, error).balanced_accuracy.value / N_DRAWS
     rising = np.maximum.accumulate(list(reached.values()))
     return float(np.interp(accuracy, rising, SCALES)) if accuracy > rising[0] else 0.0, reached

@@ -15,7 +15,7 @@ from bci_app.errors import SetupError
 from decoder.calibration import auc, calibrate, contiguous_folds, permuted_accuracies, score, stratified_folds, wilson
 from decoder.classifier import LinearClassifier, fit
 
-CONFIG = ClassifierConfig()
+CONFIG = ClassifierConfig(covariance="ledoit-wolf")
 
 
 def two_classes(n: int = 300, n_features: int = 40, distance: float = 1.5, seed: int = 0):
@@ -31,7 +31,7 @@ def test_weights_and_bias_are_scikit_learns(n: int, n_features: int) -> None:
     features, error = two_classes(n, n_features)
     features[:, 3] = 7.0  # a channel that never changes
     lda = LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto", priors=[0.5, 0.5]).fit(features, error)
-    classifier = fit(features, error, 0.5)
+    classifier = fit(features, error, CONFIG)
     found = [classifier.log_odds(row) for row in features]
     np.testing.assert_allclose(found, lda.decision_function(features), rtol=1e-9, atol=1e-9)
     probability = lda.predict_proba(features)[:, 1]
@@ -40,7 +40,8 @@ def test_weights_and_bias_are_scikit_learns(n: int, n_features: int) -> None:
 
 def test_a_prior_moves_only_the_balance_of_the_classes() -> None:
     features, error = two_classes()
-    classifiers = [fit(features, error, prior) for prior in (0.1, 0.5, 0.9)]
+    configs = [ClassifierConfig(covariance="ledoit-wolf", prior_error=prior) for prior in (0.1, 0.5, 0.9)]
+    classifiers = [fit(features, error, config) for config in configs]
     flagged = [np.mean([classifier.log_odds(row) > 0 for row in features]) for classifier in classifiers]
     assert flagged == sorted(flagged)
     assert flagged[0] < flagged[2]

@@ -176,19 +176,19 @@ def test_the_size_found_gives_the_accuracy_asked_for(recorded: Recorded, likenes
 
     def features(_: int, epoch: Epoch) -> np.ndarray:
         levelled = epoch.data - epoch.data[:20].mean(axis=0)
-        return levelled[35:75].reshape(8, 5, 6).mean(axis=1).ravel()
+        return levelled[35:75].reshape(8, 5, 6).mean(axis=1).T.ravel()
 
     rows = np.stack([features(0, e) for e in cut_recording(samples, times, onsets, shape) if isinstance(e, Epoch)])
     folds = contiguous_folds(error, config)
-    original = score(held_out_log_odds(rows, error, config, folds), error).balanced_accuracy
+    original = score(held_out_log_odds(rows, error, config, folds, 8), error).balanced_accuracy
     watch = Watch(onsets.tolist(), error, shape, features)
-    scale, reached = scale_for(likeness, original.value, watch, config, 1)
+    scale, reached = scale_for(likeness, original.value, watch, config, 8, 1)
     assert scale == pytest.approx(1, abs=0.4)
     assert reached[0.0] == pytest.approx(0.5, abs=0.1)
     drawn, truth = watched(replace(likeness, scale=scale), watch, 1, 5)
-    rehearsed = score(held_out_log_odds(drawn, truth, config, folds), truth).balanced_accuracy.value
+    rehearsed = score(held_out_log_odds(drawn, truth, config, folds, 8), truth).balanced_accuracy.value
     assert original.low < rehearsed < original.high
-    assert scale_for(likeness, 0.4, watch, config, 1)[0] == 0
+    assert scale_for(likeness, 0.4, watch, config, 8, 1)[0] == 0
 
 
 def test_a_recording_that_is_too_short_or_empty_of_moves_is_refused(recorded: Recorded) -> None:
