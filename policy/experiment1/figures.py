@@ -214,7 +214,7 @@ def _gradients(rows: list[Row], maps: list[str]) -> Figure | None:
     for axes in grid[-1]:
         axes.set(xlabel="Verdicts right (%)")
         axes.set_xticks([70, 75, 80, 100])
-    _legend(figure, list(handles.values()), 3)
+    _legend(figure, list(handles.values()), 2)
     return figure
 
 
