@@ -1,8 +1,8 @@
 """Whether the decoder still says what it said in its calibration, judged without the truth.
 
 Online nobody knows which moves were errors, so log odds are compared with all mixtures of the held-out log odds of the
-calibration's errors and correct moves. What no share of errors explains is drift. A decoder that merely stops to see
-errors isn't found out: its log odds are those of correct moves.
+calibration's errors and correct moves. What no plausible share of errors explains is drift. A decoder that
+merely stops to see errors isn't found out: its log odds are those of correct moves.
 """
 
 from collections import deque
@@ -19,8 +19,8 @@ N_WINDOW = 100
 LIMIT = 1.9
 """Scaled distance from the best mixture beyond which a decoder has drifted: warns of no more than 1 session in 50 that
 doesn't drift (decided, measured by `benchmarks/decoder_reliability.py`; one look would take 1.63, a run has many)."""
-SHARES = np.linspace(0.0, 1.0, 21)
-"""Shares of errors that are tried."""
+SHARES = np.linspace(0.0, 0.6, 13)
+"""Shares of errors that are tried: walking at random makes half of the moves errors, and no policy more (decided)."""
 
 
 @dataclass(frozen=True)
@@ -45,15 +45,15 @@ class Drift:
 
     @property
     def is_drift(self) -> bool:
-        """Whether no share of errors explains these log odds."""
+        """Whether no plausible share of errors explains these log odds."""
         return self.distance > LIMIT
 
     @property
     def sentence(self) -> str:
         """What the experimenter is told of a drift."""
         return (
-            f"The decoder seems to have drifted: no share of errors explains its last {self.n} log odds. They lie "
-            f"{self.shift:+.1f} standard deviations from the calibration's and spread {self.spread:.1f} times as much. "
+            f"The decoder seems to have drifted: no plausible share of errors explains its last {self.n} log odds. "
+            f"They lie {self.shift:+.1f} standard deviations from the calibration's and spread {self.spread:.1f} times as much. "
             "Verdicts may be worth less than was measured. Look at the electrodes, or recalibrate after this run."
         )
 
