@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from math import sqrt
+from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from bci_app.config import ClassifierConfig
-from decoder.calibration import Estimate, contiguous_folds
+from decoder.calibration import Z95, Estimate, contiguous_folds
 from decoder.classifier import fit
 
 Array = NDArray[np.float64]
@@ -23,6 +23,9 @@ simulated participants, trained on 60 to 600 moves and tested on 600 others, to 
 LOG_SD = 0.5
 """How much a participant's own constant differs from the typical one: standard deviation of its natural log (decided).
 """
+SCATTER = 0.015
+"""How far the gain of a single decoder lies from that of its curve, standard deviation of balanced accuracy (from 2.3
+points after 120 moves to 1.0 to 1.3 after 360 and 480, measured by `benchmarks/decoder_calibration_length.py`)."""
 PARTS = (0.5, 1.0)
 """Shares of the training epochs that the curve is measured at (decided)."""
 N_FOLDS = 5
@@ -127,7 +130,8 @@ def outlook(points: Sequence[Point], n_epochs: int, n_block: int, n_left: int) -
     Notes
     -----
     Bayes over a grid of limits (even) and of constants (log-normal about `EPOCHS`), points with normal errors. Balanced
-    accuracy is the normal distribution function of half the separation. Intervals hold 95 %.
+    accuracy is the normal distribution function of half the separation. Intervals hold 95 %; those of gains allow for
+    `SCATTER`, so they reach below 0: a decoder can lose by another block.
     """
     limits, epochs = np.meshgrid(np.linspace(0.05, 8, 320), EPOCHS * np.exp(LOG_SD * np.linspace(-3, 3, 25)))
     weight = -((np.log(epochs / EPOCHS) / LOG_SD) ** 2) / 2
@@ -142,8 +146,8 @@ def outlook(points: Sequence[Point], n_epochs: int, n_block: int, n_left: int) -
     return Outlook(
         n_epochs,
         _estimate(now, weight),
-        _estimate(accuracy(n_epochs + min(n_block, n_left)) - now, weight),
-        _estimate(accuracy(n_epochs + n_left) - now, weight),
+        _gain(accuracy(n_epochs + min(n_block, n_left)) - now, weight, n_left),
+        _gain(accuracy(n_epochs + n_left) - now, weight, n_left),
         tuple(points),
     )
 
@@ -153,7 +157,7 @@ def sentence(found: Outlook, worthwhile: float) -> str:
     accuracy, gain = found.balanced_accuracy, found.total_gain
     after = f"After {found.n_epochs} epochs expect a balanced accuracy of {accuracy.value:.1%} "
     after += f"({accuracy.low:.1%} to {accuracy.high:.1%})"
-    if gain.high == 0:
+    if gain.low == gain.high == 0:
         return f"{after}."
     verdict = "more calibration is not worthwhile" if found.is_clear(worthwhile) else "go on"
     return (
@@ -169,6 +173,15 @@ def _thinned(train: NDArray[np.int64], error: Labels, part: float) -> NDArray[np
         n = max(2, round(part * len(members)))
         kept.append(members[np.floor(np.arange(n) * len(members) / n).astype(np.int64)])
     return np.sort(np.concatenate(kept))
+
+
+def _gain(values: Array, weight: Array, n_left: int) -> Estimate:
+    """A curve's gain, with the interval for a single decoder; nothing where nothing is left."""
+    gain = _estimate(values, weight)
+    if n_left == 0:
+        return gain
+    below, above = (hypot(Z95 * SCATTER, width) for width in (gain.value - gain.low, gain.high - gain.value))
+    return Estimate(gain.value, gain.value - below, gain.value + above)
 
 
 def _estimate(values: Array, weight: Array) -> Estimate:
