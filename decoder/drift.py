@@ -54,7 +54,8 @@ class Drift:
         return (
             f"The decoder seems to have drifted: no plausible share of errors explains its last {self.n} log odds. "
             f"They lie {self.shift:+.1f} standard deviations from the calibration's and spread {self.spread:.1f} times "
-            "as much. Verdicts may be worth less than was measured. Look at the electrodes, or recalibrate after this run."
+            "as much. Verdicts may be worth less than was measured. Look at the electrodes, or recalibrate after "
+            "this run."
         )
 
 
