@@ -17,9 +17,9 @@ Array = NDArray[np.float64]
 Labels = NDArray[np.bool_]
 
 EPOCHS = 450.0
-"""Typical cost of learning 960 weights, in epochs: the constant of `separation_at` that fits the decoders of 20
-simulated participants, trained on 60 to 600 moves and tested on 600 others, to 1.4 points of accuracy, which is what
-600 moves leave uncertain (measured by `benchmarks/decoder_calibration_length.py`)."""
+"""Typical cost of learning 960 weights, in epochs: the constant of `separation_at` (decided, on the cautious side: over
+20 simulated participants' decoders of 120 to 600 moves 349 fits best, to 1.0 points of accuracy, measured by
+`benchmarks/decoder_calibration_length.py`; with those of 60 moves, which the benchmark leaves out, 450 did)."""
 LOG_SD = 0.5
 """How much a participant's own constant differs from the typical one: standard deviation of its natural log (decided).
 """
