@@ -49,6 +49,10 @@ class CalibrationConfig(Section):
     """Probability that the calibrating agent moves away from the goal (decided; the paper doesn't say)."""
     break_s: Seconds = 10.0
     """Shortest break between blocks."""
+    worthwhile: Probability = 0.015
+    """Gain in balanced accuracy expected of all remaining blocks together below which more calibration isn't worthwhile
+    (decided: 20 simulated participants' decoders lose 0.7 points of accuracy, 1.3 balanced, and 32 % of the moves are
+    saved, measured by `benchmarks/decoder_calibration_length.py`)."""
     wait_for_key: bool = True
     """After the break wait for the person's key, where there is a window and a person."""
     eye_movements_s: Seconds = 0.0
@@ -63,6 +67,10 @@ class OnlineConfig(Section):
     max_steps: Count = 60
     episodes_seed: int = 2022
     """Seed of the pre-generated episodes: the same episodes for every participant (decided)."""
+    expected_moves: Count = 200
+    """Moves of a run that the predicted accuracy is for (decided: 19 episodes of 10 or more)."""
+    expected_errors: Annotated[float, Field(gt=0, lt=1)] = 0.3
+    """Share of errors among them (decided: as in the calibration)."""
 
 
 class EegConfig(Section):

@@ -17,11 +17,13 @@ from bci_app.progress import Progress
 from bci_app.protocol import SessionStart
 from bci_app.recording import Recording, read
 from bci_app.runs import check_untouched, checksum, eeg_type, read_sidecar
-from decoder import calibration, model
+from decoder import calibration, learning_curve, model
 from decoder.chain import design
 from decoder.epochs import Epoch, Rejection
+from decoder.evidence import held_out_evidence
 from decoder.judge import judge_without
 from decoder.operator import features
+from decoder.reliability import predict_session, reliability
 from decoder.spatial import ocular
 
 
@@ -56,6 +58,9 @@ def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> d
     figures = _figures(result, epochs) | {
         "evidence": asdict(fitted.info.evidence),
         "eyes": {"correction": fitted.info.eyes, "alone": fitted.info.ocular},
+        "reliability": reliability(held_out_evidence(result.blocked_log_odds, epochs.error), epochs.error).as_dict(),
+        "session": _session(result, epochs.error, config),
+        "learning_curve": _by_block(epochs, config),
     }
     return {"calibration": figures, "model": str(target)}
 
@@ -127,6 +132,29 @@ def _by_eyes_alone(epochs: Labelled, config: Config) -> calibration.Scores | Non
         epochs.ocular, epochs.error, config.classifier, folds, config.chain.n_windows
     )
     return calibration.score(log_odds, epochs.error)
+
+
+def _session(result: calibration.Calibration, error: NDArray[np.bool_], config: Config) -> dict[str, Any]:
+    """What an online run may expect, from contiguous folds: `decoder.reliability.Prediction`."""
+    stretches = [test for _, test in calibration.contiguous_folds(error, config.classifier)]
+    right = (result.blocked_log_odds > 0) == error
+    online = config.online
+    return predict_session(right, error, stretches, online.expected_moves, online.expected_errors).as_dict()
+
+
+def _by_block(epochs: Labelled, config: Config) -> dict[str, Any]:
+    """What was known after each block's worth of valid epochs: `decoder.learning_curve.Outlook` and a sentence."""
+    block, found = config.calibration.moves_per_block, {}
+    planned = block * config.calibration.n_blocks
+    for n in range(block, len(epochs.error) + 1, block):
+        error = epochs.error[:n]
+        if min(error.sum(), n - error.sum()) < config.classifier.min_per_class:
+            continue
+        points = learning_curve.measure(epochs.features[:n], error, config.classifier)
+        outlook = learning_curve.outlook(points, n, block, max(0, planned - n))
+        sentence = learning_curve.sentence(outlook, config.calibration.worthwhile)
+        found[f"after_{n}"] = outlook.as_dict() | {"sentence": sentence}
+    return found
 
 
 def _figures(result: calibration.Calibration, epochs: Labelled) -> dict[str, Any]:

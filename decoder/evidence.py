@@ -71,7 +71,7 @@ def calibrate_evidence(held_out_log_odds: Array, error: Labels) -> Evidence:
     slope and intercept come from the other nine tenths. Where that is no gain over saying nothing, nothing is said.
     """
     slope, intercept = _line(held_out_log_odds, error)
-    information = 1 - _cross_entropy(_held_out_evidence(held_out_log_odds, error), error)
+    information = 1 - _cross_entropy(held_out_evidence(held_out_log_odds, error), error)
     if slope == 0 or information <= 0:
         slope, intercept, information = 0.0, 0.0, 0.0
     said_error = held_out_log_odds > 0
@@ -110,7 +110,7 @@ def _line(log_odds: Array, error: Labels) -> tuple[float, float]:
     return (slope, float(found[1] - slope * centre)) if slope > 0 else (0.0, 0.0)
 
 
-def _held_out_evidence(log_odds: Array, error: Labels) -> Array:
+def held_out_evidence(log_odds: Array, error: Labels) -> Array:
     """Evidence (n_epochs,) by lines that haven't seen the epoch: contiguous tenths of each class are left out, for
     neighbouring epochs resemble each other."""
     fold, evidence = np.empty(len(error), dtype=np.int64), np.empty(len(error))

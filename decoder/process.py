@@ -12,6 +12,7 @@ from bci_app.lsl import EegInlet, MessageInlet, find_eeg, local_clock
 from bci_app.peer import Peer
 from bci_app.protocol import STIMULUS, VERDICTS, Electrodes, EpisodeStart, MoveOnset, SessionEnd, SessionStart
 from decoder import model as models
+from decoder.drift import DriftWatch
 from decoder.electrodes import RECORDED_S, Examiner, changes
 from decoder.epochs import EpochBuffer
 from decoder.judge import Judge, MoveKey, judge_with, judge_without
@@ -50,7 +51,8 @@ def run(config: Config, session: str, clock: Clock, model_path: Path | None, par
         if model
         else judge_without(config, eeg.description, session)
     )
-    server = _Server(config, peer, eeg, judge)
+    watch = DriftWatch(model.held_out_log_odds, model.held_out_error) if model else None
+    server = _Server(config, peer, eeg, judge, watch)
     server.look()
     server.serve(peer.wait_for(STIMULUS))
     peer.linger()
@@ -59,7 +61,8 @@ def run(config: Config, session: str, clock: Clock, model_path: Path | None, par
 class _Server:
     """One session's buffer and connections."""
 
-    def __init__(self, config: Config, peer: Peer, eeg: EegInlet, judge: Judge) -> None:
+    def __init__(self, config: Config, peer: Peer, eeg: EegInlet, judge: Judge, watch: DriftWatch | None) -> None:
+        self._watch = watch
         self._config = config
         self._peer = peer
         self._eeg = eeg
@@ -165,6 +168,15 @@ class _Server:
             self._peer.push(verdict.model_copy(update={"latency_ms": latency_ms}))
             if verdict.outcome == "rejected":
                 self._peer.note("warning", f"No verdict on episode {key[0]}, step {key[1]}: {verdict.reason}.")
+            if verdict.log_odds is not None:
+                self._look_for_drift(verdict.log_odds)
+
+    def _look_for_drift(self, log_odds: float) -> None:
+        """Warn once, after the verdict is out; verdicts stay as they are."""
+        drift = self._watch.hear(log_odds) if self._watch else None
+        if drift and drift.is_drift:
+            self._peer.note("warning", drift.sentence)
+            self._watch = None
 
     def _check_silence(self, n_new: int) -> None:
         now = local_clock()
