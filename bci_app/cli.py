@@ -78,20 +78,25 @@ def calibrate(
     background: BackgroundOption = None,
     rehearse: RehearseOption = None,
     participant_seed: SimulationSeedOption = None,
+    stop_when_clear: Annotated[
+        bool, typer.Option("--stop-when-clear", help="End after the block at which more would gain next to nothing.")
+    ] = False,
     session: Annotated[str | None, typer.Option("--session", help="Session id, for --remote processes.")] = None,
     remote: RemoteOption = None,
     config: ConfigOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Record a calibration: 5 blocks of 120 moves."""
-    from bci_app import verbs
+    """Record a calibration: 5 blocks of 120 moves, or fewer."""
+    from bci_app import fitting, verbs
 
     settings = configuration.load(
-        config, _overrides(headless, decodability, background, participant_seed, rehearse=rehearse)
+        config,
+        _overrides(headless, decodability, background, participant_seed, rehearse=rehearse)
+        | ({"calibration": {"stop_when_clear": True}} if stop_when_clear else {}),
     )
     wishes = verbs.Wishes(settings, participant, visit, simulate, speed, seed, session, tuple(remote or ()))
     with progress_bar(as_json) as progress:
-        outcome = verbs.calibrate(wishes, progress)
+        outcome = verbs.calibrate(wishes, progress, fitting.look_ahead)
     _finish_run(outcome, as_json, f"Next: bci-app fit {outcome['recording']}")
 
 

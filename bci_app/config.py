@@ -51,8 +51,10 @@ class CalibrationConfig(Section):
     """Shortest break between blocks."""
     worthwhile: Probability = 0.015
     """Gain in balanced accuracy expected of all remaining blocks together below which more calibration isn't worthwhile
-    (decided: 20 simulated participants' decoders lose 0.7 points of accuracy, 1.3 balanced, and 32 % of the moves are
-    saved, measured by `benchmarks/decoder_calibration_length.py`)."""
+    (decided: 20 simulated participants' decoders lose 0.02 points, and 59 % of the moves are saved, measured by
+    `benchmarks/decoder_calibration_length.py`)."""
+    stop_when_clear: bool = False
+    """End after the block at which that is known, instead of after all."""
     wait_for_key: bool = True
     """After the break wait for the person's key, where there is a window and a person."""
     eye_movements_s: Seconds = 0.0

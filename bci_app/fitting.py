@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from bci_app.config import Config
 from bci_app.errors import SetupError
+from bci_app.lookout import Seen
 from bci_app.metrics import truths
 from bci_app.moves import Move, cut_moves, electrodes, judges
 from bci_app.ocular import Learnt, learn
@@ -142,18 +143,37 @@ def _session(result: calibration.Calibration, error: NDArray[np.bool_], config: 
     return predict_session(right, error, stretches, online.expected_moves, online.expected_errors).as_dict()
 
 
+def look_ahead(path: Path, config: Config) -> Seen:
+    """What a calibration that is still being recorded promises. Raises SetupError where it can't be read."""
+    recording = read(path, allow_damage=True)
+    outlook = _outlook(labelled(recording, config), len(truths(recording)), config)
+    if outlook is None:
+        return Seen("There are too few moves of a kind yet to tell what the calibration is worth.", "")
+    worthwhile = config.calibration.worthwhile
+    accuracy, gain = outlook.balanced_accuracy.value, 100 * outlook.total_gain.value
+    short = f"decoder {accuracy:.0%}, {gain:.1f} points to gain"
+    return Seen(learning_curve.sentence(outlook, worthwhile), short, outlook.is_clear(worthwhile))
+
+
+def _outlook(epochs: Labelled, n: int, config: Config) -> learning_curve.Outlook | None:
+    """From the first `n` valid epochs; None where a class has too few."""
+    features, error = epochs.features[:n], epochs.error[:n]
+    if min(error.sum(), (~error).sum()) < config.classifier.min_per_class:
+        return None
+    block = config.calibration.moves_per_block
+    points = learning_curve.measure(features, error, config.classifier, config.chain.n_windows)
+    n_left = max(0, block * config.calibration.n_blocks - len(error))
+    return learning_curve.outlook(points, len(error), block, n_left)
+
+
 def _by_block(epochs: Labelled, config: Config) -> dict[str, Any]:
     """What was known after each block's worth of valid epochs: `decoder.learning_curve.Outlook` and a sentence."""
     block, found = config.calibration.moves_per_block, {}
-    planned = block * config.calibration.n_blocks
     for n in range(block, len(epochs.error) + 1, block):
-        error = epochs.error[:n]
-        if min(error.sum(), n - error.sum()) < config.classifier.min_per_class:
-            continue
-        points = learning_curve.measure(epochs.features[:n], error, config.classifier)
-        outlook = learning_curve.outlook(points, n, block, max(0, planned - n))
-        sentence = learning_curve.sentence(outlook, config.calibration.worthwhile)
-        found[f"after_{n}"] = outlook.as_dict() | {"sentence": sentence}
+        outlook = _outlook(epochs, n, config)
+        if outlook is not None:
+            sentence = learning_curve.sentence(outlook, config.calibration.worthwhile)
+            found[f"after_{n}"] = outlook.as_dict() | {"sentence": sentence}
     return found
 
 

@@ -9,6 +9,7 @@ from typing import Literal
 from bci_app.protocol import (
     Action,
     AnyMessage,
+    BlockEnd,
     Electrodes,
     EpisodeEnd,
     MoveOnset,
@@ -33,6 +34,7 @@ class Outcome:
     moves, actions : how many were heard of.
     verdicts : how many of each outcome.
     notes : warnings and errors of all processes, in words.
+    outlook : after each block of a calibration, what it was worth so far and what more would be.
     """
 
     recording: Path
@@ -42,6 +44,7 @@ class Outcome:
     verdicts: dict[str, int]
     actions: int
     notes: tuple[str, ...]
+    outlook: tuple[str, ...]
 
 
 class Heard:
@@ -63,6 +66,8 @@ class Heard:
         self.verdicts: Counter[str] = Counter()
         self.rejected_in_a_row = 0
         self.last_reason: str | None = None
+        self.blocks = 0
+        """Blocks that are over."""
         self.bad: tuple[str, ...] = ()
         """Channels that are repaired at present."""
         self.ending: tuple[Literal["interrupted", "failed"], str] | None = None
@@ -82,6 +87,8 @@ class Heard:
                 self.end = message
             case MoveOnset():
                 self.moves += 1
+            case BlockEnd():
+                self.blocks += 1
             case EpisodeEnd():
                 self._episodes += 1
             case Electrodes():
@@ -132,7 +139,7 @@ class Heard:
         lost = [f"{heard - found} of {heard} {name} are not in it." for name, heard, found in counts if found < heard]
         return [*lost, *recording.damage]
 
-    def outcome(self, recording: Path) -> Outcome:
+    def outcome(self, recording: Path, outlook: tuple[str, ...] = ()) -> Outcome:
         """How it went, once it is over."""
         end = self.end
         told = (end.reason, end.text) if end else ("failed", "The stimulus never said that it ended.")
@@ -145,4 +152,5 @@ class Heard:
             verdicts=dict(self.verdicts),
             actions=self._actions,
             notes=tuple(self.notes),
+            outlook=outlook,
         )

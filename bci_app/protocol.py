@@ -217,10 +217,10 @@ class Note(Message):
 
 
 class Command(Message):
-    """From bci-app to the stimulus: begin, or stop as soon as possible."""
+    """From bci-app to the stimulus: begin, stop as soon as possible, or finish: complete after the block under way."""
 
     type: Literal["Command"] = "Command"
-    command: Literal["start", "stop"]
+    command: Literal["start", "stop", "finish"]
 
 
 AnyMessage = (

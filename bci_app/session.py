@@ -18,6 +18,7 @@ from bci_app.config import Config
 from bci_app.crew import END_TIMEOUT_S, Crew
 from bci_app.errors import LinkLost, SetupError
 from bci_app.heard import Heard, Outcome
+from bci_app.lookout import Look, Lookout, Seen
 from bci_app.lsl import MessageInlet, describe, find_eeg, local_clock, session_clock
 from bci_app.peer import Peer
 from bci_app.progress import Progress
@@ -76,6 +77,7 @@ class Plan:
     told : what the policy is told of the decoder, as `bci_app.told.Told` in words.
     remote : roles started by hand on other machines.
     session : id the remote processes were started with; drawn when there are none.
+    look : how to look at a calibration after each of its blocks.
     """
 
     run: Run
@@ -90,6 +92,7 @@ class Plan:
     told: str | None = None
     remote: frozenset[Role] = frozenset()
     session: str | None = None
+    look: Look | None = None
 
     @property
     def roles(self) -> tuple[Role, ...]:
@@ -162,6 +165,9 @@ class _Conductor:
         self.last_word: dict[Role, float] = {}
         self.size = 0
         self.grew_at = 0.0
+        self.lookout = Lookout(plan.look, plan.run.xdf, config) if plan.look else None
+        self.blocks = 0
+        self.seen: list[Seen] = []
         self.missing: list[str] = []
         """What was heard and is not in the file, in sentences; known once it is closed."""
 
@@ -245,7 +251,9 @@ class _Conductor:
             self.peer.say("running")
             self._listen(timeout=0.1)
             self._check()
-            self.progress(*self.heard.progress())
+            self._look_ahead()
+            what, done, total = self.heard.progress()
+            self.progress(f"{what}, {self.seen[-1].short}" if self.seen and self.seen[-1].short else what, done, total)
         if self.heard.end.reason == "complete":
             self._await(self.heard.all_judged, lambda: None, "the last verdict", END_TIMEOUT_S)
 
@@ -256,6 +264,21 @@ class _Conductor:
                 self.last_word[role] = local_clock()
             for item in received:
                 self.heard.take(item.message)
+
+    def _look_ahead(self) -> None:
+        """After each block of a calibration, tell what more would be worth; end it if that is little, and so wanted."""
+        if self.lookout is None:
+            return
+        if self.heard.blocks > self.blocks:
+            self.blocks = self.heard.blocks
+            self.lookout.begin()
+        seen = self.lookout.take()
+        if seen is None:
+            return
+        self.seen.append(seen)
+        self.peer.note("info", seen.sentence)
+        if seen.is_clear and self.config.calibration.stop_when_clear:
+            self.peer.push(Command(session=self.session, command="finish"))
 
     def _check(self) -> None:
         """Raise when something the run needs is lost, though nobody said so."""
@@ -312,6 +335,8 @@ class _Conductor:
                 self.progress("closing the recording", 0, 1)
                 self.recorder.stop()
         finally:
+            if self.lookout is not None:
+                self.lookout.close()
             self.inlets.clear()
             self.crew.end()
             self._save_sidecar(**self._closing())
@@ -332,7 +357,7 @@ class _Conductor:
 
     def outcome(self) -> Outcome:
         """How the run went, by what was heard."""
-        return self.heard.outcome(self.plan.run.xdf)
+        return self.heard.outcome(self.plan.run.xdf, tuple(seen.sentence for seen in self.seen))
 
     def _save_sidecar(self, **news: Any) -> None:
         """The sidecar is there from the start, so that even a run that dies tells what it was."""

@@ -12,6 +12,7 @@ from bci_app.eeg import EegDescription
 from bci_app.errors import SetupError
 from bci_app.gridworld import GridWorld, load_map
 from bci_app.heard import Outcome
+from bci_app.lookout import Look
 from bci_app.lsl import describe, find_eeg
 from bci_app.progress import Progress
 from bci_app.protocol import Role
@@ -53,14 +54,14 @@ class Wishes:
     remote: tuple[str, ...] = ()
 
 
-def calibrate(wishes: Wishes, progress: Progress) -> dict[str, Any]:
-    """Conduct a calibration; its outcome with the recording's path."""
+def calibrate(wishes: Wishes, progress: Progress, look: Look | None = None) -> dict[str, Any]:
+    """Conduct a calibration; its outcome with the recording's path. ``look`` is how to look at it after each block."""
     check(wishes)
     load_map(wishes.config.calibration.map)
     if not wishes.simulate:
         _look_at_eeg(wishes.config)
     plan = _plan(wishes, "calibration", wishes.config.calibration.map)
-    return _told(conduct(plan, progress))
+    return _told(conduct(replace(plan, look=look), progress))
 
 
 def online(

@@ -3,9 +3,8 @@
     python benchmarks/decoder_calibration_length.py
     python benchmarks/decoder_calibration_length.py --participants 6
 
-Each person watches 600 calibration moves in 5 blocks, 30 % errors, and in another hour 1200 to test decoders on. The
-warm start's lab are all the other people: they share the shape of the simulated ErrP, differ in its place, tempo and
-strength. Real people differ more, so a real lab will gain less. Prints Markdown.
+Each person watches 600 calibration moves in 5 blocks, 30 % errors, and in another hour 1200 to test decoders on. Prints
+Markdown.
 """
 
 import argparse
@@ -16,37 +15,35 @@ from decoder_people import Moves, watch
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from bci_app.config import CalibrationConfig, ClassifierConfig
+from bci_app.config import CalibrationConfig, ChainConfig, ClassifierConfig
 from bci_app.terminal import progress_bar
 from decoder.calibration import score
 from decoder.classifier import fit
 from decoder.learning_curve import Outlook, measure, outlook, point, separation_at
-from decoder.warm_start import CHOICES, Lab, choose, difference, lab, warmed
 
 Array = NDArray[np.float64]
 
 BLOCK, N_BLOCKS, N_TEST = 120, 5, 1200
 LENGTHS = tuple(BLOCK * number for number in range(1, N_BLOCKS + 1))
+FIGURES = ("accuracy", "balanced")
 DECODABILITIES = (0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9)
-CONFIG = ClassifierConfig()
+CONFIG, N_WINDOWS = ClassifierConfig(), ChainConfig().n_windows
 
 
 @dataclass(frozen=True)
 class Reached:
-    """Figures of one decoder on the test moves, and how many pseudo-epochs it started with."""
+    """Figures of one decoder on the test moves."""
 
     accuracy: float
     balanced: float
     separation: float
-    n_pseudo: int
 
 
 @dataclass(frozen=True, eq=False)
 class Person:
-    """By number of calibration moves: decoders from scratch, warm-started ones, and what the stop rule knew."""
+    """By number of calibration moves: decoders, and what the stop rule knew."""
 
-    cold: dict[int, Reached]
-    warm: dict[int, Reached]
+    reached: dict[int, Reached]
     known: dict[int, Outlook]
 
     def stop(self, worthwhile: float) -> int:
@@ -54,25 +51,23 @@ class Person:
         return next((n for n in LENGTHS[:-1] if self.known[n].is_clear(worthwhile)), LENGTHS[-1])
 
 
-def measured(calibration: Moves, test: Moves, others: Lab) -> Person:
+def measured(calibration: Moves, test: Moves) -> Person:
     """One person's decoders."""
-    cold, warm, known = {}, {}, {}
+    reached, known = {}, {}
     for n in LENGTHS:
         features, error = calibration.features[:n], calibration.error[:n]
-        n_pseudo = choose(features, error, CONFIG, others).n_pseudo
-        cold[n] = decoder_on(features, error, test)
-        warm[n] = decoder_on(warmed(features, error, others, n_pseudo), error, test, n_pseudo)
-        known[n] = outlook(measure(features, error, CONFIG), n, BLOCK, LENGTHS[-1] - n)
-    return Person(cold, warm, known)
+        reached[n] = decoder_on(features, error, test)
+        known[n] = outlook(measure(features, error, CONFIG, N_WINDOWS), n, BLOCK, LENGTHS[-1] - n)
+    return Person(reached, known)
 
 
-def decoder_on(features: Array, error: NDArray[np.bool_], test: Moves, n_pseudo: int = 0) -> Reached:
+def decoder_on(features: Array, error: NDArray[np.bool_], test: Moves) -> Reached:
     """A decoder on fresh moves."""
-    classifier = fit(features, error, CONFIG.prior_error)
+    classifier = fit(features, error, CONFIG, N_WINDOWS)
     log_odds = test.features @ classifier.weights + classifier.bias
     scores = score(log_odds, test.error)
     separation = point(log_odds, test.error, len(error)).separation
-    return Reached(scores.accuracy.value, scores.balanced_accuracy.value, separation, n_pseudo)
+    return Reached(scores.accuracy.value, scores.balanced_accuracy.value, separation)
 
 
 def mean_and_error(values: list[float]) -> str:
@@ -81,20 +76,11 @@ def mean_and_error(values: list[float]) -> str:
 
 
 def print_curves(people: list[Person]) -> None:
-    """Accuracy against the number of trials, from scratch and warm-started."""
-    pseudo = " / ".join(str(choice) for choice in CHOICES)
-    print(
-        f"\n| trials | accuracy | balanced | warm: accuracy | balanced | gain, points | people with {pseudo} pseudo |"
-    )
-    print("|---|---|---|---|---|---|---|")
+    """Accuracy against the number of trials."""
+    print("\n| trials | accuracy | balanced |\n|---|---|---|")
     for n in LENGTHS:
-        cold, warm = [person.cold[n] for person in people], [person.warm[n] for person in people]
-        means = [
-            np.mean([getattr(one, name) for one in kind]) for kind in (cold, warm) for name in ("accuracy", "balanced")
-        ]
-        gain = mean_and_error([b.balanced - a.balanced for a, b in zip(cold, warm, strict=True)])
-        taken = " / ".join(str(sum(one.n_pseudo == choice for one in warm)) for choice in CHOICES)
-        print(f"| {n} | {' | '.join(f'{mean:.3f}' for mean in means)} | {gain} | {taken} |")
+        means = (np.mean([getattr(p.reached[n], name) for p in people]) for name in FIGURES)
+        print(f"| {n} | {' | '.join(f'{mean:.3f}' for mean in means)} |")
 
 
 def print_outlooks(people: list[Person]) -> None:
@@ -104,7 +90,7 @@ def print_outlooks(people: list[Person]) -> None:
     )
     for n in LENGTHS[:-1]:
         expected = [person.known[n].total_gain for person in people]
-        was = [person.cold[LENGTHS[-1]].balanced - person.cold[n].balanced for person in people]
+        was = [person.reached[LENGTHS[-1]].balanced - person.reached[n].balanced for person in people]
         inside = np.mean([e.low <= value <= e.high for e, value in zip(expected, was, strict=True)])
         means = f"{100 * np.mean([e.value for e in expected]):.1f} | {mean_and_error(was)}"
         print(f"| {n} | {means} | {inside:.0%} |")
@@ -112,25 +98,16 @@ def print_outlooks(people: list[Person]) -> None:
 
 def print_rule(people: list[Person], thresholds: list[float]) -> None:
     """Trials saved and accuracy lost."""
-    print(
-        "\n| worthwhile, points | stops after "
-        + " / ".join(map(str, LENGTHS))
-        + " | trials saved | lost: accuracy | balanced ",
-        end="",
-    )
-    print("| warm: accuracy | balanced | warm and stopped against from scratch and all trials: balanced |")
-    print("|---|---|---|---|---|---|---|---|")
+    lengths = " / ".join(map(str, LENGTHS))
+    print(f"\n| worthwhile, points | stops after {lengths} | trials saved | lost: accuracy | balanced |")
+    print("|---|---|---|---|---|")
     last = LENGTHS[-1]
     for worthwhile in thresholds:
         stops = [person.stop(worthwhile) for person in people]
-        pairs = list(zip(people, stops, strict=True))
+        pairs = [(p.reached[last], p.reached[n]) for p, n in zip(people, stops, strict=True)]
         cells = [f"{100 * worthwhile:g}", " / ".join(str(stops.count(n)) for n in LENGTHS)]
         cells.append(f"{1 - np.mean(stops) / last:.0%}")
-        cells += [mean_and_error([p.cold[last].accuracy - p.cold[n].accuracy for p, n in pairs])]
-        cells += [mean_and_error([p.cold[last].balanced - p.cold[n].balanced for p, n in pairs])]
-        cells += [mean_and_error([p.warm[last].accuracy - p.warm[n].accuracy for p, n in pairs])]
-        cells += [mean_and_error([p.warm[last].balanced - p.warm[n].balanced for p, n in pairs])]
-        cells += [mean_and_error([p.cold[last].balanced - p.warm[n].balanced for p, n in pairs])]
+        cells += [mean_and_error([getattr(a, name) - getattr(b, name) for a, b in pairs]) for name in FIGURES]
         print(f"| {' | '.join(cells)} |")
 
 
@@ -140,7 +117,7 @@ def print_constant(people: list[Person]) -> None:
     lengths = np.array(LENGTHS)[:, None]
     for epochs in np.geomspace(50, 3000, 60).tolist():
         predicted = ndtr(separation_at(lengths, limits, epochs) / 2)
-        found = [ndtr(np.array([person.cold[n].separation for n in LENGTHS]) / 2)[:, None] for person in people]
+        found = [ndtr(np.array([person.reached[n].separation for n in LENGTHS]) / 2)[:, None] for person in people]
         squared = float(np.mean([((predicted - one) ** 2).mean(axis=0).min() for one in found]))
         best = min(best, (squared, epochs))
     print(f"\nLearning curves fit best with EPOCHS = {best[1]:.0f}, to {100 * best[0] ** 0.5:.1f} points of accuracy.")
@@ -163,11 +140,9 @@ def main() -> None:
             progress("watching moves", number, 2 * len(seeds))
             decodability = DECODABILITIES[seed % len(DECODABILITIES)]
             watched.append((watch(seed, decodability, LENGTHS[-1]), watch(seed, decodability, N_TEST, run=1)))
-        differences = [difference(calibration.features, calibration.error) for calibration, _ in watched]
         for number, (calibration, test) in enumerate(watched):
             progress("calibrating", len(seeds) + number, 2 * len(seeds))
-            others = lab([one for place, one in enumerate(differences) if place != number])
-            people.append(measured(calibration, test, others))
+            people.append(measured(calibration, test))
     print_curves(people)
     print_outlooks(people)
     print_rule(people, options.worthwhile)

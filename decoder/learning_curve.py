@@ -16,16 +16,16 @@ from decoder.classifier import fit
 Array = NDArray[np.float64]
 Labels = NDArray[np.bool_]
 
-EPOCHS = 450.0
-"""Typical cost of learning 960 weights, in epochs: the constant of `separation_at` (decided, on the cautious side: over
-20 simulated participants' decoders of 120 to 600 moves 349 fits best, to 1.0 points of accuracy, measured by
-`benchmarks/decoder_calibration_length.py`; with those of 60 moves, which the benchmark leaves out, 450 did)."""
-LOG_SD = 0.5
+EPOCHS = 100.0
+"""Typical cost of learning the weights, in epochs: the constant of `separation_at`. Decoders of 20 simulated people on
+120 to 600 moves fit it best with 50 (measured by `benchmarks/decoder_calibration_length.py`), the paper's shrinkage LDA
+with 350; twice the former is taken, for real EEG is harder to learn than made-up EEG (decided)."""
+LOG_SD = 0.8
 """How much a participant's own constant differs from the typical one: standard deviation of its natural log (decided).
 """
-SCATTER = 0.015
-"""How far the gain of a single decoder lies from that of its curve, standard deviation of balanced accuracy (from 2.3
-points after 120 moves to 1.0 to 1.3 after 360 and 480, measured by `benchmarks/decoder_calibration_length.py`)."""
+SCATTER = 0.01
+"""How far the gain of a single decoder lies from that of its curve, standard deviation of balanced accuracy (decided:
+0.9 points after 120 moves and 0.2 later, measured by `benchmarks/decoder_calibration_length.py`)."""
 PARTS = (0.5, 1.0)
 """Shares of the training epochs that the curve is measured at (decided)."""
 N_FOLDS = 5
@@ -72,13 +72,14 @@ class Outlook:
         return asdict(self)
 
 
-def measure(features: Array, error: Labels, config: ClassifierConfig) -> tuple[Point, ...]:
+def measure(features: Array, error: Labels, config: ClassifierConfig, n_windows: int) -> tuple[Point, ...]:
     """Held-out separations at parts of the epochs so far.
 
     Parameters
     ----------
     features : float64, (n_epochs, n_features), uV, in the order of recording.
     error : bool, (n_epochs,), the truth. Raises SetupError where a class occurs in one stretch only.
+    n_windows : of each channel's features.
 
     Notes
     -----
@@ -91,7 +92,7 @@ def measure(features: Array, error: Labels, config: ClassifierConfig) -> tuple[P
         log_odds, n_train = np.empty(len(error)), 0
         for train, test in folds:
             chosen = _thinned(train, error, part)
-            classifier = fit(features[chosen], error[chosen], config.prior_error)
+            classifier = fit(features[chosen], error[chosen], config, n_windows)
             log_odds[test] = features[test] @ classifier.weights + classifier.bias
             n_train += len(chosen)
         points.append(point(log_odds, error, round(n_train / len(folds))))

@@ -94,6 +94,7 @@ class Paradigm:
         self._repeats = 0  # in this block
         self._walk = Walk(world, self.session, number=-1, cell=0, goal=0, max_steps=0)  # until the first begins
         self._running = False
+        self._is_enough = False  # no block is to come after the one under way
         self._eye_task = -1
         self._action: int | None = None  # of the coming move
         self._pause_reason: str | None = None
@@ -287,6 +288,12 @@ class Paradigm:
         else:
             self._wait(Phase.LOOK, now + self._times.rest_s)
 
+    def finish(self, now: float) -> None:
+        """Let the block under way be the last; between two, the run is complete at once."""
+        self._is_enough = True
+        if self._phase in (Phase.BREAK, Phase.KEY):
+            self._complete(now)
+
     def stop(self, now: float, reason: Literal["interrupted", "failed"], text: str = "") -> None:
         """End the run at any moment; a jump whose flip was not reported has not happened."""
         if self._phase is Phase.DONE:
@@ -389,7 +396,7 @@ class Paradigm:
             return
         self._send(BlockEnd(session=self.session, block=self._block, n_moves=self._block_moves), now)
         self._block += 1
-        if self._block == self._plan.n_blocks:
+        if self._block == self._plan.n_blocks or self._is_enough:
             self._complete(now)
         else:
             self._wait(Phase.BREAK, now + self._plan.break_s)
@@ -399,7 +406,9 @@ class Paradigm:
         self._send(self._walk.end_message(reason), now)
 
     def _after_break(self, now: float) -> None:
-        if self._plan.wait_for_key:
+        if self._is_enough:
+            self._complete(now)
+        elif self._plan.wait_for_key:
             self._phase = Phase.KEY
         else:
             self._begin_block(now)

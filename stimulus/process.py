@@ -133,6 +133,8 @@ class _Shell:
             match item.message:
                 case Command(command="start"):
                     self._paradigm.start(now)
+                case Command(command="finish"):
+                    self._paradigm.finish(now)
                 case Command(command="stop"):
                     self._paradigm.stop(now, "interrupted", "Stopped by the experimenter.")
         for item in self._peer.hear(self._actions) if self._actions else ():

@@ -20,12 +20,12 @@ def config():
 def epochs() -> Labelled:
     rng = np.random.default_rng(0)
     error = np.tile(np.arange(10) < 3, 20)
-    features = rng.normal(0, 1, (200, 20)) + 0.4 * error[:, None]
-    return Labelled([], Counter(), features, error, Learnt(None, "", None), np.empty(0))
+    features = rng.normal(0, 1, (200, 30)) + 0.4 * error[:, None]
+    return Labelled([], Counter(), [], features, error, Learnt(None, "", None), np.empty(0))
 
 
 def test_a_session_is_predicted_for_the_moves_of_the_configuration(epochs: Labelled, config) -> None:
-    result = calibrate(epochs.features, epochs.error, config.classifier)
+    result = calibrate(epochs.features, epochs.error, config.classifier, config.chain.n_windows)
     found = _session(result, epochs.error, config)
     assert (found["n_moves"], found["error_share"]) == (100, 0.3)
     assert found["accuracy"]["low"] < result.blocked.accuracy.value < found["accuracy"]["high"]
