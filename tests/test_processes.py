@@ -208,23 +208,24 @@ class Clenching:
 
     def __init__(self) -> None:
         self.amplifier = ForeignAmplifier(spoil=self.spoil)
+        self._resolver = pylsl.ContinuousResolver("name", "bci-stimulus")
         self._stimulus: Listener | None = None
         self._spoilt = 0
-        self._until = -np.inf
+        self._left = 0  # samples still to be spoilt
 
     def play(self) -> None:
-        if self._stimulus is None and (found := pylsl.resolve_byprop("name", "bci-stimulus", 1, 0.01)):
+        if self._stimulus is None and (found := self._resolver.results()):
             self._stimulus = Listener("bci-stimulus", found[0].source_id().split("/")[1])
         elif self._stimulus is not None and self._spoilt < 2:
             n_moves = len(self._stimulus.of("MoveOnset"))
             if n_moves > 2 * self._spoilt + 1:
-                self._spoilt, self._until = self._spoilt + 1, pylsl.local_clock() + 0.5
+                self._spoilt, self._left = self._spoilt + 1, 125
         self.amplifier.play()
 
     def spoil(self, samples: np.ndarray) -> None:
         samples[:, 3] = np.nan
-        if pylsl.local_clock() < self._until:
-            samples[:, 5:9] += 3000 * np.sin(samples[:, :1] / 5)  # at 8 Hz
+        spoilt, self._left = samples[: self._left], max(0, self._left - len(samples))
+        spoilt[:, 5:9] += 3000 * np.sin(spoilt[:, :1] / 5)  # at 8 Hz
 
 
 def test_a_bad_channel_is_repaired_a_rejected_move_repeated_and_both_replayed(tmp_path: Path) -> None:

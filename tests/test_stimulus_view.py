@@ -9,6 +9,7 @@ import pytest
 from bci_app.config import Config, StimulusConfig
 from bci_app.errors import SetupError
 from bci_app.gridworld import STEP, GridWorld, compile_map, load_map
+from bci_app.protocol import MoveOnset, Verdict
 from stimulus import view as module
 from stimulus.paradigm import Paradigm
 from stimulus.scene import Scene
@@ -129,7 +130,7 @@ def test_text_is_visible_centred_and_inside(size: tuple[int, int]) -> None:
 
 
 def test_every_scene_of_a_run_draws(screen: View) -> None:
-    config = Config.model_validate({"calibration": {"n_blocks": 2, "moves_per_block": 6}})
+    config = Config.model_validate({"calibration": {"n_blocks": 2, "moves_per_block": 6, "eye_movements_s": 3}})
     paradigm = Paradigm.calibration(config, load_map("obstacles"), "s", "P", 1)
     now = 0.0
     while not paradigm.done:
@@ -138,6 +139,10 @@ def test_every_scene_of_a_run_draws(screen: View) -> None:
         screen.flip()
         if paradigm.awaiting_flip:
             paradigm.flipped(now)
+        for out in paradigm.take_messages():
+            if isinstance(move := out.message, MoveOnset):
+                told = {"session": "s", "episode": move.episode, "step": move.step, "clock_offset": 0.0}
+                paradigm.take_verdict(Verdict(outcome="unjudged", **told), now)
         paradigm.start(now)
         paradigm.key_start(now)
         paradigm.update(now)
