@@ -100,7 +100,9 @@ def live(n_channels: int, sfreq: float, seconds: float) -> tuple[float, float]:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "noise_decoder.safetensors"
         save(decoder_for(channels, sfreq), path)
-        words = ["decoder", "--session", SESSION, "--model", str(path)]
+        config = Path(folder) / "load.toml"
+        config.write_text('[eeg]\nsource_id = "load-amp"\n', encoding="utf-8")
+        words = ["decoder", "--session", SESSION, "--model", str(path), "--config", str(config)]
         process = subprocess.Popen([sys.executable, "-m", "bci_app", *words], stderr=subprocess.DEVNULL)
         try:
             found: list[pylsl.StreamInfo] = []
@@ -115,7 +117,9 @@ def live(n_channels: int, sfreq: float, seconds: float) -> tuple[float, float]:
                 while (sample := verdicts.pull_sample(0.0)[0]) is not None:
                     heard.append(json.loads(sample[0]))
 
-            session.play(lambda: any(message.get("state") == "ready" for message in heard), listen)
+            session.play(lambda: process.poll() is not None or any(m.get("state") == "ready" for m in heard), listen)
+            if process.poll() is not None:
+                raise SystemExit(f"The decoder ended with code {process.returncode} before it was ready.")
             session.say("SessionStart", task="online", participant="P", map="open", layout=["..."], n_episodes=1)
             begun = pylsl.local_clock()
             moves = 0

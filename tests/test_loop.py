@@ -14,7 +14,18 @@ import pytest
 from conftest import Cli
 
 from bci_app.metrics import confusion, truths
-from bci_app.protocol import Action, EpisodeEnd, EpisodeStart, MoveOnset, Note, SessionEnd, SessionStart, Truth, Verdict
+from bci_app.protocol import (
+    Action,
+    BlockEnd,
+    EpisodeEnd,
+    EpisodeStart,
+    MoveOnset,
+    Note,
+    SessionEnd,
+    SessionStart,
+    Truth,
+    Verdict,
+)
 from bci_app.recording import read
 from bci_app.runs import read_sidecar
 
@@ -114,6 +125,23 @@ def test_first_and_last_moves_replay_at_real_speed_and_in_a_real_background(
     assert told["verdicts"] == {"unjudged": n_moves}
     counts = printed(cli("replay", told["recording"], "--json"))["replay"]
     assert counts["verdicts"] == counts["verdicts_equal"] == n_moves
+
+
+def test_a_calibration_ends_when_more_would_gain_nothing(cli: Cli, tmp_path: Path) -> None:
+    """Here any gain is too little. At twenty times real speed the next block has begun when that is known."""
+    config = tmp_path / "enough.toml"
+    text = SMALL.format(folder=(tmp_path / "recordings").as_posix()) + "[classifier]\nmin_per_class = 5\n"
+    text = text.replace("n_blocks = 2", "n_blocks = 5\nworthwhile = 1.0").replace("= 60", "= 40")
+    config.write_text(text, encoding="utf-8")
+    words = ("--participant", "P003", "--config", config, "--simulate", "--speed", SPEED, "--seed", 3)
+    told = printed(cli("calibrate", *words, "--stop-when-clear", "--json"))
+    assert told["reason"] == "complete"
+    assert told["moves"] in (40, 80, 120)
+    assert told["outlook"]
+    assert all("more calibration is not worthwhile" in sentence for sentence in told["outlook"])
+    recording = read(Path(told["recording"]))
+    assert len(recording.of(BlockEnd)) == told["moves"] / 40
+    assert told["outlook"][0] in [note.text for _, note in recording.of(Note)]
 
 
 def test_replay_finds_what_differs(session: Session, cli: Cli, tmp_path: Path) -> None:

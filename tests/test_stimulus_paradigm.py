@@ -382,6 +382,32 @@ def test_eye_movements_come_before_the_first_block(pause: bool) -> None:
     assert len(runner.of(MoveOnset)) == 6
 
 
+@pytest.mark.parametrize("when", ["in a block", "in a break", "in a pause of a break", "before a key"])
+def test_a_calibration_that_is_long_enough_ends_after_its_block(when: str) -> None:
+    runner = Runner(calibration(short(3, 4, break_s=10), wait_for_key=when == "before a key"))
+    paradigm = runner.paradigm
+    if when == "in a block":
+        runner.until(lambda: len(runner.of(MoveOnset)) == 2)
+        paradigm.finish(runner.now)
+    else:
+        runner.until(lambda: bool(runner.of(BlockEnd)))
+        if when == "in a pause of a break":
+            paradigm.pause(runner.now, "a question")
+            runner.until(lambda: paradigm.waiting_for == "resume")
+        elif when == "before a key":
+            runner.until(lambda: paradigm.waiting_for == "key")
+        paradigm.finish(runner.now)
+        paradigm.resume(runner.now)
+        runner.take()
+    runner.all()
+    assert paradigm.done
+    assert len(runner.of(MoveOnset)) == 4
+    assert kinds(runner.sent)[-2 if "pause" not in when else -4] == "BlockEnd"
+    (end,) = runner.of(SessionEnd)
+    assert isinstance(end.message, SessionEnd)
+    assert end.message.reason == "complete"
+
+
 def test_verdicts_that_stay_away_end_the_block_all_the_same() -> None:
     runner = Runner(calibration(short(1, 5)), judge=lambda move: None if move.step == 1 else "unjudged")
     runner.all()
