@@ -28,7 +28,7 @@ def examine(config: Config, model_path: Path | None) -> dict[str, Any]:
         text = f"'{description.name}', {len(description.picks)} EEG channels at {description.sfreq:g} Hz"
         samples, times = _listen(inlet)
         checks += [_check("EEG stream with labels and units", True, text), _rate(inlet, config, times)]
-        checks.append(_electrodes(inlet, samples))
+        checks.append(_electrodes(inlet, samples, times, config))
         if model_path:
             checks.append(_fits(model_path, inlet))
     except (SetupError, LinkLost) as error:
@@ -56,21 +56,25 @@ def _rate(inlet: EegInlet, config: Config, times: NDArray[np.float64]) -> dict[s
     return _check("samples at the nominal rate", True, f"{rate:.2f} Hz over {LOOK_S:g} s")
 
 
-def _electrodes(inlet: EegInlet, samples: NDArray[np.float32]) -> dict[str, Any]:
+def _electrodes(
+    inlet: EegInlet, samples: NDArray[np.float32], times: NDArray[np.float64], config: Config
+) -> dict[str, Any]:
     """The bad ones are repaired in a run, unless they are too many; better mend them now."""
+    from decoder.electrodes import Examiner
     from decoder.judge import judge_without
-    from decoder.quality import Inspector
 
     description, what = inlet.description, "electrodes"
     try:
-        qualities = Inspector(description.picked, description.sfreq).inspect(samples.astype(np.float64))
+        judge = judge_without(config, description, "")
+        found = Examiner("", description.picked, description.sfreq).examine((0, 0), samples, times, since=-np.inf)
     except SetupError as error:
         return _check(what, False, str(error))
-    bad = {quality.name: quality.faults for quality in qualities if quality.is_bad}
-    if not bad:
-        return _check(what, True, f"all {len(qualities)} are good")
-    text = "; ".join(f"{name}: {', '.join(faults)}" for name, faults in bad.items())
-    unusable = judge_without(Config(), description, "").with_bad(bad).unusable
+    if not found.n_samples:
+        return _check(what, False, f"too little EEG in {LOOK_S:g} s to tell")
+    if not found.bad:
+        return _check(what, True, f"all {len(description.picked)} are good")
+    text = "; ".join(f"{name}: {', '.join(faults)}" for name, faults in found.bad.items())
+    unusable = judge.with_bad(found.bad).unusable
     return _check(what, unusable is None, text if unusable is None else f"{text}. {unusable}")
 
 

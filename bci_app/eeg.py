@@ -71,6 +71,11 @@ class EegDescription:
                 f"Stream '{self.name}' has no fixed sampling rate; EEG needs a nominal rate in Hz. "
                 "Set it in the amplifier's LSL connector."
             )
+        if not any(kind in ("eeg", "") for kind in self._kinds):
+            raise SetupError(
+                f"Stream '{self.name}' has no channel of type EEG, only {', '.join(sorted(set(self._kinds)))}. Choose "
+                "another stream, or set the channels' types in the amplifier's LSL connector."
+            )
         if not any(self.channels[index] for index in self.picks):
             raise SetupError(
                 f"Stream '{self.name}' has {len(self.picks)} EEG channels but no labels; channels are matched by name. "

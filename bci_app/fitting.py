@@ -13,7 +13,7 @@ from bci_app.errors import SetupError
 from bci_app.lookout import Seen
 from bci_app.metrics import truths
 from bci_app.moves import Move, cut_moves, electrodes, judges
-from bci_app.ocular import Learnt, learn
+from bci_app.ocular import Learnt, learn, sources
 from bci_app.progress import Progress
 from bci_app.protocol import SessionStart
 from bci_app.recording import Recording, read
@@ -53,16 +53,17 @@ def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> d
         ocular=_by_eyes_alone(epochs, config),
         recording_sha256=checksum(path),
     )
-    target = _free_name(path)
-    model.save(fitted, target)
-    progress("done", 3, 3)
     figures = _figures(result, epochs) | {
         "evidence": asdict(fitted.info.evidence),
-        "eyes": {"correction": fitted.info.eyes, "alone": fitted.info.ocular},
+        "eyes": {"correction": fitted.info.eyes, "seen_by": epochs.eyes.seen_by, "alone": fitted.info.ocular},
         "reliability": reliability(held_out_evidence(result.blocked_log_odds, epochs.error), epochs.error).as_dict(),
         "session": _session(result, epochs.error, config),
         "learning_curve": _by_block(epochs, config),
     }
+    # Saved last: whatever fails before leaves no decoder behind.
+    target = _free_name(path)
+    model.save(fitted, target)
+    progress("done", 3, 3)
     return {"calibration": figures, "model": str(target)}
 
 
@@ -109,18 +110,20 @@ def labelled(recording: Recording, config: Config) -> Labelled:
     eyes = learn(recording, decisions, config.eyes)
     correction = ocular(eyes.eyes.weights, eyes.eyes.sources) if eyes.eyes else None
     judge = judge_without(config, recording.eeg, "", correction)
-    judge_of, moves = judges(judge, decisions), cut_moves(recording, judge.shape)
-    valid, rows, by_eyes, error, reasons = [], [], [], [], Counter[str]()
-    for move in moves:
-        key, row = (move.episode, move.step), judge_of(move.episode).features(move.result)
+    judge_of, sources_of = judges(judge, decisions), sources(recording, decisions, eyes)
+    moves, valid, rows, by_eyes, error, reasons = [], [], [], [], [], Counter[str]()
+    for move, result in cut_moves(recording, judge.shape):
+        moves.append(move)
+        row = judge_of(move.key).features(result)
         if isinstance(row, Rejection):
             reasons[row.reason] += 1
-        elif key in known and isinstance(move.result, Epoch):
+        elif move.key in known and isinstance(result, Epoch):
             valid.append(move)
             rows.append(row)
-            error.append(known[key])
-            if eyes.alone is not None:
-                by_eyes.append(features(move.result.data, judge.operator, eyes.alone))
+            error.append(known[move.key])
+            alone = sources_of(move.key)
+            if alone is not None:
+                by_eyes.append(features(result.data, judge.operator, alone))
     return Labelled(moves, reasons, valid, np.array(rows), np.array(error, dtype=bool), eyes, np.array(by_eyes))
 
 
@@ -145,23 +148,29 @@ def _session(result: calibration.Calibration, error: NDArray[np.bool_], config: 
 
 def look_ahead(path: Path, config: Config) -> Seen:
     """What a calibration that is still being recorded promises. Raises SetupError where it can't be read."""
-    recording = read(path, allow_damage=True)
-    outlook = _outlook(labelled(recording, config), len(truths(recording)), config)
+    recording = read(path, True, config.eeg.stream_type)
+    epochs = labelled(recording, config)
+    outlook = _outlook(epochs, len(epochs.error), config)
     if outlook is None:
         return Seen("There are too few moves of a kind yet to tell what the calibration is worth.", "")
     worthwhile = config.calibration.worthwhile
     accuracy, gain = outlook.balanced_accuracy.value, 100 * outlook.total_gain.value
     short = f"decoder {accuracy:.0%}, {gain:.1f} points to gain"
-    return Seen(learning_curve.sentence(outlook, worthwhile), short, outlook.is_clear(worthwhile))
+    # A decoder at chance has a flat curve too, but there more electrodes, or other ones, may help: the person decides.
+    passes = outlook.balanced_accuracy.value >= config.policy.gate_accuracy
+    return Seen(learning_curve.sentence(outlook, worthwhile), short, passes and outlook.is_clear(worthwhile))
 
 
 def _outlook(epochs: Labelled, n: int, config: Config) -> learning_curve.Outlook | None:
-    """From the first `n` valid epochs; None where a class has too few."""
+    """From the first `n` valid epochs; None where a class has too few, or all of them in one stretch."""
     features, error = epochs.features[:n], epochs.error[:n]
     if min(error.sum(), (~error).sum()) < config.classifier.min_per_class:
         return None
     block = config.calibration.moves_per_block
-    points = learning_curve.measure(features, error, config.classifier, config.chain.n_windows)
+    try:
+        points = learning_curve.measure(features, error, config.classifier, config.chain.n_windows)
+    except SetupError:
+        return None
     n_left = max(0, block * config.calibration.n_blocks - len(error))
     return learning_curve.outlook(points, len(error), block, n_left)
 

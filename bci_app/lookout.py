@@ -35,10 +35,12 @@ class Lookout:
         self._thread = ThreadPoolExecutor(1, "lookout")
         self._look: Future[Seen] | None = None
 
-    def begin(self) -> None:
-        """Look now, unless a look is under way."""
-        if self._look is None:
-            self._look = self._thread.submit(self._look_at, self._path, self._config)
+    def begin(self) -> bool:
+        """Look now; False where a look is under way."""
+        if self._look is not None:
+            return False
+        self._look = self._thread.submit(self._look_at, self._path, self._config)
+        return True
 
     def take(self) -> Seen | None:
         """What the last look found, once, when it is over. One that failed says so: a run doesn't end by that."""
@@ -52,5 +54,5 @@ class Lookout:
         return Seen(f"What the calibration is worth so far can't be told: {error}", "")
 
     def close(self) -> None:
-        """Wait for a look under way."""
-        self._thread.shutdown()
+        """Nobody waits for a look under way any more."""
+        self._thread.shutdown(wait=False, cancel_futures=True)

@@ -1,28 +1,27 @@
 """The epochs of a recorded run, cut by the very functions that cut them live."""
 
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 
 from bci_app.protocol import Electrodes, MoveOnset, Verdict
 from bci_app.recording import Recording
-from decoder.epochs import Epoch, Rejection, Shape, cut_recording
+from decoder.epochs import Epoch, Rejection, Shape, cut_one_by_one
 from decoder.judge import Judge
 
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """One recorded move: its key, where its onset lies on the EEG's clock, and its epoch."""
+    """One recorded move: its (episode, step), and its onset on the EEG's clock, which is off the stimulus's, in s."""
 
-    episode: int
-    step: int
+    key: tuple[int, int]
+    onset: float
     clock_offset: float
-    result: Epoch | Rejection
 
 
-def cut_moves(recording: Recording, shape: Shape) -> list[Move]:
-    """One `Move` for each distinct (episode, step), in order of onset.
+def cut_moves(recording: Recording, shape: Shape) -> Iterator[tuple[Move, Epoch | Rejection]]:
+    """Each distinct move with its epoch, in order of onset; one at a time, for all are as large as the recording.
 
     The offset between the clocks of stimulus and EEG is the one the decoder used and wrote into its verdict; without
     a verdict (a run without our decoder) the clocks are taken as one, as they are on one machine.
@@ -34,16 +33,17 @@ def cut_moves(recording: Recording, shape: Shape) -> list[Move]:
     keys = list(onsets)
     times = [onsets[key] + offsets.get(key, 0.0) for key in keys]
     microvolts = recording.eeg.in_microvolts(recording.samples)
-    results = cut_recording(microvolts, recording.times, times, shape)
-    return [Move(*key, offsets.get(key, 0.0), result) for key, result in zip(keys, results, strict=True)]
+    results = cut_one_by_one(microvolts, recording.times, times, shape)
+    for key, onset, result in zip(keys, times, results, strict=True):
+        yield Move(key, onset, offsets.get(key, 0.0)), result
 
 
-def judges(judge: Judge, decisions: dict[int, Electrodes]) -> Callable[[int], Judge]:
-    """From an episode to the judge of its moves: `judge`, with the electrodes repaired that were found bad before it.
+def judges(judge: Judge, decisions: dict[tuple[int, int], Electrodes]) -> Callable[[tuple[int, int]], Judge]:
+    """From a move's (episode, step) to its judge: `judge`, with the electrodes repaired that were found bad before it.
 
     Parameters
     ----------
-    decisions : by episode; none where the decoder that recorded made none.
+    decisions : by (episode, step) of the first move each is for; none where the decoder that recorded made none.
     """
     decided = sorted(decisions)
 
@@ -51,13 +51,13 @@ def judges(judge: Judge, decisions: dict[int, Electrodes]) -> Callable[[int], Ju
     def without(bad: tuple[str, ...]) -> Judge:
         return judge.with_bad(bad)
 
-    def of(episode: int) -> Judge:
-        place = bisect_right(decided, episode)
+    def of(key: tuple[int, int]) -> Judge:
+        place = bisect_right(decided, key)
         return without(tuple(sorted(decisions[decided[place - 1]].bad))) if place else judge
 
     return of
 
 
-def electrodes(recording: Recording) -> dict[int, Electrodes]:
-    """What was decided about the electrodes before each episode."""
-    return {decision.episode: decision for _, decision in recording.of(Electrodes)}
+def electrodes(recording: Recording) -> dict[tuple[int, int], Electrodes]:
+    """What was decided about the electrodes, by (episode, step) of the first move each decision is for."""
+    return {(decision.episode, decision.step): decision for _, decision in recording.of(Electrodes)}

@@ -139,12 +139,14 @@ class Truth(Message):
 
 
 class Electrodes(Message):
-    """Which channels are bad, as the decoder found at an episode's start; they are repaired from the others until the
-    next. Looked at are the `n_samples` EEG samples that end with the one stamped `last_time`; none where there were too
-    few."""
+    """Which channels are bad, as the decoder found at an episode's start, or before a step where moves were rejected;
+    they are repaired from the others until the next. Looked at are the `n_samples` EEG samples that end with the one
+    stamped `last_time`; none where there were too few."""
 
     type: Literal["Electrodes"] = "Electrodes"
     episode: Index
+    step: Index = 0
+    """The first that is judged so; 0 at an episode's start."""
     bad: dict[str, list[str]] = {}
     """Faults of each bad channel, as `decoder.quality.Fault`."""
     last_time: float | None = None

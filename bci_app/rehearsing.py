@@ -13,7 +13,7 @@ from bci_app.fitting import Labelled
 from bci_app.gridworld import load_map
 from bci_app.moves import electrodes, judges
 from bci_app.progress import Progress, named
-from bci_app.protocol import MoveOnset, Truth
+from bci_app.protocol import Truth
 from bci_app.recording import Recording
 from bci_app.runs import check_label, checksum, free_visit
 from decoder import rehearsal_file
@@ -92,7 +92,7 @@ def likeness_of(recording: Recording, config: Config, progress: Progress) -> tup
     progress("cross-validating the original", 1, 3)
     n = min(n_asked, len(epochs.error))
     original = calibrate(epochs.features[:n], epochs.error[:n], config.classifier, config.chain.n_windows)
-    onsets = _onsets(recording, epochs)
+    onsets = _onsets(epochs)
     microvolts = recording.eeg.in_microvolts(recording.samples)
     names = tuple(recording.eeg.picked)
     likeness = learn(microvolts, recording.times, onsets, epochs.error, names, recording.eeg.sfreq)
@@ -103,12 +103,9 @@ def likeness_of(recording: Recording, config: Config, progress: Progress) -> tup
     return replace(likeness, scale=scale), original
 
 
-def _onsets(recording: Recording, epochs: Labelled) -> list[float]:
+def _onsets(epochs: Labelled) -> list[float]:
     """Onsets of the valid moves on the EEG's clock, s."""
-    stamps: dict[tuple[int, int], float] = {}
-    for stamp, move in recording.of(MoveOnset):
-        stamps.setdefault((move.episode, move.step), stamp)
-    return [stamps[move.episode, move.step] + move.clock_offset for move in epochs.valid]
+    return [move.onset for move in epochs.valid]
 
 
 def _watch(recording: Recording, config: Config, epochs: Labelled, onsets: list[float], n: int) -> Watch:
@@ -120,7 +117,7 @@ def _watch(recording: Recording, config: Config, epochs: Labelled, onsets: list[
         onsets[:n],
         epochs.error[:n],
         judge.shape,
-        lambda number, epoch: judge_of(epochs.valid[number].episode).features(epoch),
+        lambda number, epoch: judge_of(epochs.valid[number].key).features(epoch),
     )
 
 

@@ -97,8 +97,8 @@ def _electrodes(recording: Recording) -> Iterator[Compared]:
     eeg = recording.eeg
     examiner = Examiner(next(iter(recorded.values())).session, eeg.picked, eeg.sfreq)
     microvolts = eeg.in_microvolts(recording.samples)
-    for episode, decision in recorded.items():
-        yield Compared((episode, 0), decision, examiner.again(decision, microvolts, recording.times))
+    for key, decision in recorded.items():
+        yield Compared(key, decision, examiner.again(decision, microvolts, recording.times))
 
 
 def _verdicts(
@@ -113,10 +113,10 @@ def _verdicts(
     unfinished = _last_of_aborted(recording)
     eeg = recording.eeg
     judge = judge_with(load(path), config, eeg, session) if path else judge_without(config, eeg, session)
-    bad = {pair.key[0]: pair.replayed for pair in decisions if isinstance(pair.replayed, Electrodes)}
+    bad = {pair.key: pair.replayed for pair in decisions if isinstance(pair.replayed, Electrodes)}
     judge_of = judges(judge, bad)
-    for move in cut_moves(recording, judge.shape):
-        key = (move.episode, move.step)
+    for move, result in cut_moves(recording, judge.shape):
+        key = move.key
         before = recorded.get(key)
         if before is not None and before.by_time:
             # When the samples came isn't in the file; the decoder said that this was the reason, so it is taken over.
@@ -124,7 +124,7 @@ def _verdicts(
             continue
         if before is None and key in unfinished:
             continue
-        yield Compared(key, before, judge_of(move.episode).verdict(key, move.result, move.clock_offset))
+        yield Compared(key, before, judge_of(key).verdict(key, result, move.clock_offset))
 
 
 def _actions(

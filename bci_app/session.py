@@ -267,11 +267,10 @@ class _Conductor:
 
     def _look_ahead(self) -> None:
         """After each block of a calibration, tell what more would be worth; end it if that is little, and so wanted."""
-        if self.lookout is None:
+        if self.lookout is None or self.heard.end is not None:
             return
-        if self.heard.blocks > self.blocks:
+        if self.heard.blocks > self.blocks and self.lookout.begin():
             self.blocks = self.heard.blocks
-            self.lookout.begin()
         seen = self.lookout.take()
         if seen is None:
             return
@@ -350,7 +349,7 @@ class _Conductor:
             return told
         self.progress("checking the recording", 0, 1)
         try:
-            self.missing = self.heard.missing_in(read(path, allow_damage=True))
+            self.missing = self.heard.missing_in(read(path, True, self.config.eeg.stream_type))
         except SetupError as error:
             self.missing = [str(error)]
         return told | {"sha256": checksum(path), "bytes": path.stat().st_size, "missing": self.missing}

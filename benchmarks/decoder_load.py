@@ -22,7 +22,7 @@ import pylsl
 
 from bci_app.config import Config
 from bci_app.eeg import EegDescription
-from bci_app.protocol import PROTOCOL_VERSION, EpisodeStart
+from bci_app.protocol import PROTOCOL_VERSION
 from bci_app.terminal import progress_bar
 from decoder.calibration import calibrate
 from decoder.chain import design
@@ -166,10 +166,7 @@ def memory(n_channels: int, sfreq: float, hours: float) -> list[float]:
             buffer.push(samples[start % len(samples) :][:n_move], (start + np.arange(n_move)) / sfreq)
             episode, step = divmod(move, MOVES)
             if step == 0:
-                opening = EpisodeStart(
-                    session=SESSION, episode=episode, position=(0, 0), sensed=(False,) * 5, max_steps=60
-                )
-                decided = examiner.examine(opening, *buffer.trailing(examiner.n_window), since=0.0)
+                decided = examiner.examine((episode, 0), *buffer.trailing(examiner.n_window), since=0.0)
                 judge = judge.with_bad(decided.bad)
             buffer.expect((episode, step + 1), (start + n_move / 2) / sfreq)
             for key, result in buffer.poll():

@@ -17,15 +17,12 @@ from rich.table import Table
 
 from bci_app.config import Config
 from bci_app.eeg import EegDescription
-from bci_app.protocol import EpisodeStart
 from bci_app.terminal import progress_bar
 from decoder.calibration import calibrate, score
 from decoder.electrodes import Examiner
 from decoder.epochs import Epoch, Rejection, cut_recording
 from decoder.judge import judge_without
 from decoder.participant import Participant
-
-START = EpisodeStart(session="repair", episode=0, position=(0, 0), sensed=(False,) * 5, max_steps=60)
 
 
 def figures(number: int, n_dead: int) -> dict[str, float]:
@@ -44,7 +41,7 @@ def figures(number: int, n_dead: int) -> dict[str, float]:
     places = rng.choice(64, n_dead, replace=False)
     spoilt = samples[: round(10 * person.sfreq)].copy()
     spoilt[:, places] = rng.normal(0, 0.2, (len(spoilt), n_dead))  # an input's noise is all there is
-    found = Examiner("repair", person.names, person.sfreq).decide(0, spoilt, times[: len(spoilt)]).bad
+    found = Examiner("repair", person.names, person.sfreq).decide((0, 0), spoilt, times[: len(spoilt)]).bad
     dead = {person.names[place] for place in places}
     mended = judge.with_bad(found)
 

@@ -1,4 +1,4 @@
-"""Which electrodes are bad, decided at the start of each episode and kept until the next.
+"""Which electrodes are bad, decided at the start of each episode and kept until the next, or until moves are rejected.
 
 Decided from the EEG just before, on what is in the record alone: a replay decides the same from the same samples.
 """
@@ -8,9 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bci_app.protocol import Electrodes, EpisodeStart
+from bci_app.protocol import Electrodes
 from decoder.eyes import is_eog
 from decoder.quality import Fault, Inspector
+from decoder.timeline import MAX_JITTER
 
 WINDOW_S = 10.0
 """Seconds before an episode that are looked at (decided: drifts show, and a blink or two don't)."""
@@ -36,22 +37,30 @@ class Examiner:
         self.n_window = round(WINDOW_S * sfreq)
 
     def examine(
-        self, start: EpisodeStart, samples: NDArray[np.floating], times: NDArray[np.float64], since: float
+        self,
+        key: tuple[int, int],
+        samples: NDArray[np.floating],
+        times: NDArray[np.float64],
+        since: float,
     ) -> Electrodes:
-        """What is bad.
+        """What is bad from this (episode, step) on. What lies before a gap isn't looked at: levels differ there.
 
         Parameters
         ----------
         samples, times : (n_times, n_channels), uV, and (n_times,), raw stamps; the newest `n_window` or fewer.
         since : stamp of the EEG from which on samples are recorded for certain.
         """
-        known = slice(int(np.searchsorted(np.maximum.accumulate(times), since)), None) if len(times) else slice(0)
-        return self.decide(start.episode, samples[known], times[known])
+        if not len(times):
+            return self.decide(key, samples, times)
+        after_gap = np.flatnonzero(np.diff(times) > 2 * MAX_JITTER)[-1:] + 1
+        first = max(int(np.searchsorted(np.maximum.accumulate(times), since)), *after_gap.tolist(), 0)
+        return self.decide(key, samples[first:], times[first:])
 
-    def decide(self, episode: int, samples: NDArray[np.floating], times: NDArray[np.float64]) -> Electrodes:
+    def decide(self, key: tuple[int, int], samples: NDArray[np.floating], times: NDArray[np.float64]) -> Electrodes:
         """What is bad over exactly these samples; nothing where they are too few."""
+        episode, step = key
         if len(samples) < self._inspector.n_least:
-            return Electrodes(session=self._session, episode=episode)
+            return Electrodes(session=self._session, episode=episode, step=step)
         qualities = self._inspector.inspect(np.asarray(samples, dtype=np.float64))
         faults = {
             quality.name: [fault for fault in quality.faults if not is_eog(quality.name) or fault in EOG_FAULTS]
@@ -60,6 +69,7 @@ class Examiner:
         return Electrodes(
             session=self._session,
             episode=episode,
+            step=step,
             bad={name: found for name, found in faults.items() if found},
             last_time=float(times[-1]),
             n_samples=len(samples),
@@ -76,7 +86,7 @@ class Examiner:
         if not len(ends) or ends[-1] + 1 < before.n_samples:
             return before
         window = slice(ends[-1] + 1 - before.n_samples, ends[-1] + 1)
-        return self.decide(before.episode, samples[window], times[window])
+        return self.decide((before.episode, before.step), samples[window], times[window])
 
 
 def changes(before: Electrodes | None, now: Electrodes) -> list[str]:

@@ -5,7 +5,7 @@ same to the bit however the samples were chunked, whenever the marker came, and 
 are looked at, for gaps; what is in the samples is the affair of `decoder.judge`.
 """
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Generic, TypeVar
@@ -107,7 +107,15 @@ def locate(segments: Sequence[Segment], onset: float, shape: Shape) -> Epoch | R
 def cut_recording(
     samples: NDArray[np.floating], times: Array, onsets: Sequence[float], shape: Shape
 ) -> list[Epoch | Rejection]:
-    """Cut a whole recording: (n_times, n_channels) uV and raw stamps; one result an onset, in order.
+    """As `cut_one_by_one`, all at once: as large as the recording in float64."""
+    return list(cut_one_by_one(samples, times, onsets, shape))
+
+
+def cut_one_by_one(
+    samples: NDArray[np.floating], times: Array, onsets: Sequence[float], shape: Shape
+) -> Iterator[Epoch | Rejection]:
+    """Cut a whole recording: (n_times, n_channels) uV and raw stamps; one result an onset, in order, each made when it
+    is asked for.
 
     `onsets` are on the clock of the EEG's stamps, s.
     """
@@ -118,7 +126,8 @@ def cut_recording(
         if b > a
     ]
     never = Rejection("the EEG ends before the onset")
-    return [locate(segments, onset, shape) or never for onset in onsets]
+    for onset in onsets:
+        yield locate(segments, onset, shape) or never
 
 
 def _cut(segment: Segment, onset: float, shape: Shape) -> Epoch | Rejection | None:

@@ -24,7 +24,10 @@ def estimator_weights(name: str, features: Array, error: NDArray[np.bool_]) -> t
     error, and is expected to have ``coef_`` and ``intercept_`` then. Raises SetupError for anything else.
     """
     estimator = make_estimator(name)
-    estimator.fit(features, error)
+    try:
+        estimator.fit(features, error)
+    except (ValueError, TypeError) as failure:
+        raise SetupError(f"The estimator {name} can't be fitted on {len(error)} epochs: {failure}.") from failure
     coef, intercept = getattr(estimator, "coef_", None), getattr(estimator, "intercept_", None)
     if coef is None or intercept is None:
         raise SetupError(
@@ -51,7 +54,7 @@ def make_estimator(name: str) -> Any:
         raise SetupError(f"classifier.estimator should be module:factory, such as {_EXAMPLE}; found {name!r}.")
     try:
         module = import_module(module_name)
-    except ImportError as error:
+    except (ImportError, TypeError) as error:
         raise SetupError(
             f"Can't import the module of the estimator {name}: {error}. Install it beside bci-app, or put its folder "
             "on PYTHONPATH."

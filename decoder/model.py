@@ -124,11 +124,11 @@ def make_model(
         n_rejected=n_rejected,
         tenfold=calibration.tenfold.as_dict(),
         blocked=calibration.blocked.as_dict(),
-        evidence=calibrate_evidence(calibration.tenfold_log_odds, error),
+        evidence=calibrate_evidence(calibration.blocked_log_odds, error),
         recording_sha256=recording_sha256,
         versions={"python": platform.python_version(), **{name: _version(name) for name in _LIBRARIES}},
     )
-    return DecoderModel(info, chain_operator(chain), calibration.classifier, eyes, calibration.tenfold_log_odds, error)
+    return DecoderModel(info, chain_operator(chain), calibration.classifier, eyes, calibration.blocked_log_odds, error)
 
 
 def save(model: DecoderModel, path: Path) -> None:

@@ -25,6 +25,8 @@ SILENCE_S = 1.0
 PATIENCE_S = 4.0
 """Real seconds of silence after which moves that wait for samples are rejected: what comes late is not lost, but the
 policy waits no longer than 5 s for a verdict (decided)."""
+REJECTED_BEFORE_A_LOOK = 2
+"""Verdicts rejected in a row after which the electrodes are looked at again within an episode (decided)."""
 LOST_S = 10.0
 """Real seconds of silence after which the run can't go on (decided)."""
 SAME_CLOCK_S = 0.005
@@ -71,6 +73,7 @@ class _Server:
         n_channels = len(picked)
         self._examiner = Examiner(peer.session, picked, eeg.description.sfreq)
         self._electrodes: Electrodes | None = None
+        self._n_rejected = 0  # verdicts in a row since the electrodes were looked at
         self._recorded_since = -np.inf
         self._judges: dict[MoveKey, Judge] = {}
         self._buffer: EpochBuffer[MoveKey] = EpochBuffer(judge.shape, n_channels, config.eeg.buffer_s)
@@ -131,9 +134,11 @@ class _Server:
                 offset = 0.0 if same_clock else stimulus.clock_correction() - self._eeg.clock_correction()
                 match item.message:
                     case MoveOnset() as move:
+                        if self._n_rejected >= REJECTED_BEFORE_A_LOOK:
+                            self._examine((move.episode, move.step))
                         self._expect((move.episode, move.step), item.stamp, offset)
                     case EpisodeStart() as start:
-                        self._examine(start)
+                        self._examine((start.episode, 0))
                     case SessionStart():
                         self._recorded_since = item.stamp + offset - RECORDED_S
                     case SessionEnd():
@@ -143,10 +148,11 @@ class _Server:
             self._answer(arrived)
             self._check_rate(times)
 
-    def _examine(self, start: EpisodeStart) -> None:
-        """Decide which electrodes are bad; the moves of this episode are judged without them."""
+    def _examine(self, key: MoveKey) -> None:
+        """Decide which electrodes are bad; the moves from this one on are judged without them."""
         samples, times = self._buffer.trailing(self._examiner.n_window)
-        electrodes = self._examiner.examine(start, samples, times, self._recorded_since)
+        self._n_rejected = 0
+        electrodes = self._examiner.examine(key, samples, times, self._recorded_since)
         self._peer.push(electrodes)
         self._judge = self._judge.with_bad(electrodes.bad)
         for sentence in changes(self._electrodes, electrodes):
@@ -166,6 +172,7 @@ class _Server:
             verdict = self._judges.pop(key).verdict(key, result, self._offsets.pop(key))
             latency_ms = (local_clock() - arrived) * 1e3
             self._peer.push(verdict.model_copy(update={"latency_ms": latency_ms}))
+            self._n_rejected = self._n_rejected + 1 if verdict.outcome == "rejected" else 0
             if verdict.outcome == "rejected":
                 self._peer.note("warning", f"No verdict on episode {key[0]}, step {key[1]}: {verdict.reason}.")
             if verdict.log_odds is not None:

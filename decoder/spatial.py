@@ -9,6 +9,7 @@ left adds up to nothing over the channels whatever went before. The matrix stays
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,8 +64,8 @@ def interpolation(channels: Sequence[str], bad: Sequence[str]) -> Array:
     is_bad = _is_bad(channels, bad)
     if not is_bad.any():
         return np.eye(len(channels))
-    places = {canonical(name): name for name in template().ch_names}
-    known = np.array([canonical(name) in places for name in channels])
+    places = _places()
+    known = np.array([_is_placed(name) for name in channels])
     _check(channels, is_bad, known)
     matrix = np.eye(len(channels))
     names = [places[canonical(channels[index])] for index in np.flatnonzero(known).tolist()]
@@ -104,16 +105,21 @@ def compose(
 
 
 def repair(channels: Sequence[str], outputs: NDArray[np.int64], bad: Collection[str]) -> Array:
-    """(n_channels, n_channels): bad EEG channels, those of `outputs`, from the good ones; of a bad EOG channel, which
-    has no neighbours, nothing.
+    """(n_channels, n_channels): bad EEG channels, those of `outputs`, from the good ones.
 
-    Names in `bad` that aren't among the channels are left alone. Raises SetupError, as `interpolation` does, where too
-    many EEG channels are bad, or one of no known place.
+    Of a bad channel that has no neighbours, because it is EOG, its place is not known or too few good ones are left,
+    nothing is taken: it is 0. Names in `bad` that aren't among the channels are left alone. Raises SetupError where too
+    many EEG channels are bad.
     """
     wrong = {canonical(name) for name in bad}
     matrix = np.diag([float(canonical(name) not in wrong) for name in channels])
     eeg = [channels[index] for index in outputs.tolist()]
-    matrix[np.ix_(outputs, outputs)] = interpolation(eeg, [name for name in eeg if canonical(name) in wrong])
+    _check_share(eeg, [name for name in eeg if canonical(name) in wrong])
+    placed = np.array([index for index in outputs.tolist() if _is_placed(channels[index])], dtype=np.int64)
+    names = [channels[index] for index in placed.tolist()]
+    lost = [name for name in names if canonical(name) in wrong]
+    if lost and len(names) - len(lost) >= MIN_GOOD:
+        matrix[np.ix_(placed, placed)] = interpolation(names, lost)
     return matrix
 
 
@@ -161,16 +167,30 @@ def _check(channels: Sequence[str], is_bad: NDArray[np.bool_], known: NDArray[np
             f"Bad channels {', '.join(nowhere)} have no place in the 10-05 system, so they can't be repaired from "
             "their neighbours. Give them 10-05 names in the amplifier, or reconnect them."
         )
-    if is_bad.sum() > MAX_BAD_SHARE * len(channels):
-        raise SetupError(
-            f"{len(bad)} of {len(channels)} channels are bad ({', '.join(bad)}); up to {MAX_BAD_SHARE:.0%} can be "
-            "repaired. Reconnect electrodes."
-        )
+    _check_share(channels, bad)
     if (n_good := int((~is_bad & known).sum())) < MIN_GOOD:
         raise SetupError(
             f"To repair {', '.join(bad)} takes {MIN_GOOD} good channels with 10-05 names; there are {n_good}. "
             "Reconnect the bad ones."
         )
+
+
+def _check_share(channels: Sequence[str], bad: Sequence[str]) -> None:
+    if len(bad) > MAX_BAD_SHARE * len(channels):
+        raise SetupError(
+            f"{len(bad)} of {len(channels)} channels are bad ({', '.join(bad)}); up to {MAX_BAD_SHARE:.0%} can be "
+            "repaired. Reconnect electrodes."
+        )
+
+
+def _is_placed(name: str) -> bool:
+    return canonical(name) in _places()
+
+
+@lru_cache(maxsize=1)
+def _places() -> dict[str, str]:
+    """Names of the electrodes whose place is known, as MNE's template spells them."""
+    return {canonical(name): name for name in template().ch_names}
 
 
 def _through_mne(names: list[str], is_bad: NDArray[np.bool_]) -> Array:

@@ -12,6 +12,7 @@ A calibration's block goes on until it has its moves without those whose epochs 
 at the end of the block, by a move of the same kind, for at most `MOST_REPEATED` of the block.
 """
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from enum import Enum, auto
@@ -248,10 +249,16 @@ class Paradigm:
         error = self._unjudged.pop((verdict.episode, verdict.step), None)
         if error is None:
             return
-        if verdict.outcome == "rejected" and self._repeats < MOST_REPEATED * (self._plan.moves_per_block or 0):
+        most = math.ceil(MOST_REPEATED * (self._plan.moves_per_block or 0))
+        if verdict.outcome == "rejected" and self._repeats < most:
             self._again.append(error)
             self._repeats += 1
             self._moves -= 1
+            if self._repeats == most:
+                text = (
+                    f"{most} moves of block {self._block} had to be repeated; no more will be. Look at the electrodes."
+                )
+                self._send(Note(session=self.session, role="stimulus", level="warning", text=text), now)
         self._after_verdict(now)
 
     def miss_verdicts(self, now: float) -> int:
@@ -291,7 +298,8 @@ class Paradigm:
     def finish(self, now: float) -> None:
         """Let the block under way be the last; between two, the run is complete at once."""
         self._is_enough = True
-        if self._phase in (Phase.BREAK, Phase.KEY):
+        in_break = self._paused_in is Phase.BREAK if self._phase is Phase.PAUSED else False
+        if in_break or self._phase in (Phase.BREAK, Phase.KEY):
             self._complete(now)
 
     def stop(self, now: float, reason: Literal["interrupted", "failed"], text: str = "") -> None:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bci_app.protocol import Electrodes, EpisodeStart, decode, encode
+from bci_app.protocol import Electrodes, decode, encode
 from decoder.background import SyntheticBackground
 from decoder.electrodes import Examiner, changes
 from decoder.epochs import EpochBuffer, Shape
@@ -13,7 +13,7 @@ from decoder.montage import MONTAGE_64
 
 SFREQ = 250.0
 CHANNELS = MONTAGE_64[::4]
-START = EpisodeStart(session="s", episode=3, position=(0, 0), sensed=(False,) * 5, max_steps=60)
+START = (3, 0)
 
 
 @pytest.fixture(scope="module")
@@ -85,3 +85,16 @@ def test_an_eog_channel_may_be_large_and_unlike_the_others_but_not_dead(eeg: tup
     both = np.hstack((samples, blinks, np.zeros_like(blinks))).astype(np.float32)
     found = Examiner("s", (*CHANNELS, "VEOG", "EOG dead"), SFREQ).examine(START, both, times, since=-np.inf)
     assert set(found.bad) == {CHANNELS[5], CHANNELS[9], "EOG dead"}
+
+
+def test_what_lies_before_a_gap_is_not_looked_at(eeg: tuple[np.ndarray, np.ndarray]) -> None:
+    """After a restart of the amplifier levels differ, and that is no drift."""
+    samples, times = eeg
+    shifted, later = samples.copy(), times.copy()
+    shifted[1250:] += np.random.default_rng(1).normal(0, 2000, samples.shape[1]).astype(np.float32)
+    later[1250:] += 20
+    examiner = Examiner("s", CHANNELS, SFREQ)
+    found = examiner.examine((3, 5), shifted[:2500], later[:2500], since=-np.inf)
+    assert set(found.bad) == {CHANNELS[5], CHANNELS[9]}
+    assert (found.step, found.n_samples) == (5, 1250)
+    assert examiner.again(found, shifted, later) == found

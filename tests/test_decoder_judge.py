@@ -106,3 +106,17 @@ def test_too_many_bad_channels_reject_and_good_ones_bring_verdicts_back(judge: J
     worse = judge.with_bad(CHANNELS[: N // 2])
     assert "bad" in reason(worse.verdict((0, 1), epoch, 0.0))
     assert worse.with_bad([]).verdict((0, 1), epoch, 0.0) == judge.verdict((0, 1), epoch, 0.0)
+
+
+@pytest.mark.parametrize("n", [4, 8, 64])
+def test_channels_without_a_place_are_left_out_when_they_are_bad(n: int) -> None:
+    """An amplifier that calls its electrodes A1, A2 ... still gives verdicts with one dead."""
+    eeg = EegDescription("BioSemi", "", "", tuple(f"X{i}" for i in range(n)), ("uV",) * n, ("EEG",) * n, 500.0)
+    whole = judge_without(Config(), eeg, "s")
+    mended = whole.with_bad(["X1"])
+    data = np.random.default_rng(3).normal(0, 20, (whole.shape.n_raw, n))
+    data[:, 1] = np.nan
+    row = mended.features(Epoch(data, 0.0, 1.0))
+    assert not isinstance(row, Rejection)
+    data[:, 1] = 0.0
+    np.testing.assert_allclose(row, whole.features(Epoch(data, 0.0, 1.0)), atol=1e-12)

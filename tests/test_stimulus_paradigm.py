@@ -402,7 +402,7 @@ def test_a_calibration_that_is_long_enough_ends_after_its_block(when: str) -> No
     runner.all()
     assert paradigm.done
     assert len(runner.of(MoveOnset)) == 4
-    assert kinds(runner.sent)[-2 if "pause" not in when else -4] == "BlockEnd"
+    assert kinds(runner.sent)[-3 if "pause" in when else -2] == "BlockEnd"
     (end,) = runner.of(SessionEnd)
     assert isinstance(end.message, SessionEnd)
     assert end.message.reason == "complete"
