@@ -148,7 +148,7 @@ def _held_out(path: Path) -> tuple["HeldOut", float, float]:
     fitted = model.load(path)
     evidence, error = fitted.info.evidence, fitted.held_out_error
     said = np.array([evidence.of(log_odds) for log_odds in fitted.held_out_log_odds], np.float32)
-    accuracy, balanced = (float(fitted.info.tenfold[name]["value"]) for name in ("accuracy", "balanced_accuracy"))
+    accuracy, balanced = (float(fitted.info.blocked[name]["value"]) for name in ("accuracy", "balanced_accuracy"))
     return HeldOut(said[error], said[~error], evidence.information), accuracy, balanced
 
 

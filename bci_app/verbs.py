@@ -103,7 +103,7 @@ def online(
         "policy": card.name,
         "policy_reason": reason,
         "model": str(path),
-        "cross_validated_accuracy": float(model.info.tenfold["accuracy"]["value"]),
+        "cross_validated_accuracy": float(model.info.blocked["accuracy"]["value"]),
     }
 
 
@@ -116,7 +116,7 @@ def choose_policy(
     """
     from policy import checkpoint
 
-    accuracy, balanced = (float(info.tenfold[name]["value"]) for name in ("accuracy", "balanced_accuracy"))
+    accuracy, balanced = (float(info.blocked[name]["value"]) for name in ("accuracy", "balanced_accuracy"))
     if policy is not None:
         card = _asked_card(policy, accuracy, world)
         checkpoint.check_fits(card, world)

@@ -62,7 +62,7 @@ class ModelInfo(BaseModel):
     """`decoder.calibration.Scores` of stratified cross-validation; `blocked` of contiguous folds."""
     blocked: dict[str, Any]
     evidence: Evidence
-    """From the log odds of stratified cross-validation, as `tenfold`."""
+    """From the log odds of contiguous folds, as `blocked`."""
     recording_sha256: str
     """Of the calibration it was fitted on, or empty."""
     versions: dict[str, str]
@@ -78,7 +78,7 @@ class DecoderModel:
     operator : float64, (n_raw, n_windows).
     classifier : weights and bias on the features of `decoder.operator.features`.
     eyes : what is regressed out before, or None.
-    held_out_log_odds : float64, (n_epochs,), from stratified cross-validation, in the order of the calibration.
+    held_out_log_odds : float64, (n_epochs,), from contiguous folds, in the order of the calibration.
     held_out_error : bool, (n_epochs,), the truth about them.
     """
 

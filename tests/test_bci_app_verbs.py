@@ -24,12 +24,12 @@ def dead(any_decoder: Path) -> ModelInfo:
 def reaching(info: ModelInfo, accuracy: float, balanced: float) -> ModelInfo:
     """The same with other cross-validated figures."""
     figures: dict[str, Any] = {
-        **info.tenfold,
+        **info.blocked,
         "accuracy": {"value": accuracy},
         "balanced_accuracy": {"value": balanced},
     }
     evidence = replace(info.evidence, hit=0.7, correct_rejection=0.8, information=0.2)
-    return info.model_copy(update={"tenfold": figures, "evidence": evidence})
+    return info.model_copy(update={"blocked": figures, "evidence": evidence})
 
 
 def test_by_default_the_policy_is_told_the_decoders_statistics(dead: ModelInfo) -> None:
