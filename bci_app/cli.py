@@ -46,7 +46,9 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 ParticipantOption = Annotated[str, typer.Option("--participant", help="Letters and digits, as in P001.")]
 VisitOption = Annotated[str, typer.Option("--visit", help="BIDS session label of this visit.")]
 SimulateOption = Annotated[bool, typer.Option("--simulate", help="A simulated participant instead of an amplifier.")]
-SpeedOption = Annotated[float, typer.Option("--speed", help="Session seconds a real second; needs --simulate.")]
+SpeedOption = Annotated[
+    float, typer.Option("--speed", help="Session seconds a real second; more than 1 only in simulations.")
+]
 SeedOption = Annotated[int | None, typer.Option("--seed", help="Seed of the run; drawn and recorded if not given.")]
 HeadlessOption = Annotated[bool, typer.Option("--headless", help="Draw without a screen.")]
 RemoteOption = Annotated[
@@ -97,7 +99,7 @@ def calibrate(
     wishes = verbs.Wishes(settings, participant, visit, simulate, speed, seed, session, tuple(remote or ()))
     with progress_bar(as_json) as progress:
         outcome = verbs.calibrate(wishes, progress, fitting.look_ahead)
-    _finish_run(outcome, as_json, f"Next: bci-app fit {outcome['recording']}")
+    _finish_run(outcome, as_json, f"Next: bci-app fit {outcome['recording']}{_with(config)}")
 
 
 @app.command(rich_help_panel="In the lab")
@@ -112,7 +114,7 @@ def fit(
 
     with progress_bar(as_json) as progress:
         result = fitting.fit(recording, configuration.load(config), allow_damage, progress)
-    finish(result, as_json, "Next: bci-app online --participant ... --map open")
+    finish(result, as_json, f"Next: bci-app online --participant {result['participant']} --map open{_with(config)}")
 
 
 @app.command(rich_help_panel="In the lab")
@@ -232,7 +234,8 @@ def rehearse_recording(
     settings = configuration.load(config, _overrides(True, None, None, None))
     with progress_bar(as_json) as progress:
         result = rehearsing.rehearse(recording, settings, participant, map_name, speed, seed, progress)
-    hint = f"Next: bci-app online --participant ... --map open --simulate --speed 24 --rehearse {result['person']}"
+    who = f"--participant {result['participant']} --map open --simulate --speed {speed:g}"
+    hint = f"Next: bci-app online {who} --rehearse {result['person']}{_with(config)}"
     finish(result, as_json, hint)
 
 
@@ -259,6 +262,10 @@ def _overrides(
     }
     given = {key: value for key, value in simulation.items() if value is not None}
     return {"simulation": given} | ({"stimulus": {"headless": True}} if headless else {})
+
+
+def _with(config: Path | None) -> str:
+    return f" --config {config}" if config else ""
 
 
 def _finish_run(outcome: dict[str, Any], as_json: bool, hint: str) -> None:

@@ -67,7 +67,7 @@ class OnlineConfig(Section):
 
     distances: tuple[int, int] = (2, 20)
     max_steps: Count = 60
-    episodes_seed: int = 2022
+    episodes_seed: Annotated[int, Field(ge=0)] = 2022
     """Seed of the pre-generated episodes: the same episodes for every participant (decided)."""
     expected_moves: Count = 200
     """Moves of a run that the predicted accuracy is for (decided: 19 episodes of 10 or more)."""
@@ -96,7 +96,7 @@ class ChainConfig(Section):
     """The decoder's linear chain (paper V.A.3-4)."""
 
     sfreq: Annotated[float, Field(gt=0)] = 256.0
-    low_hz: Annotated[float, Field(gt=0)] = 1.0
+    low_hz: Annotated[float, Field(ge=0.1)] = 1.0
     high_hz: Annotated[float, Field(gt=0)] = 50.0
     phase: Literal["minimum", "linear"] = "minimum"
     """FIR phase: minimum is ready at the end of the last window, linear waits for its delay (decided)."""
@@ -116,7 +116,7 @@ class EyesConfig(Section):
 
     correct: Literal["auto", "always", "never"] = "auto"
     """`auto` corrects where there are electrodes and eye movements to learn it from, and says so where not."""
-    learn_s: Annotated[float, Field(gt=0)] = 600.0
+    learn_s: Annotated[float, Field(ge=30)] = 600.0
     """Seconds of EEG it is learnt from, at most: 100 blinks (decided)."""
 
 
@@ -134,7 +134,7 @@ class ClassifierConfig(Section):
     n_folds: Annotated[int, Field(ge=2)] = 10
     min_per_class: Annotated[int, Field(ge=2)] = 20
     """Fewest epochs of each class a decoder may be fitted on (decided)."""
-    seed: int = 0
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     """Seed of the shuffled folds and of bootstrap intervals."""
 
 
@@ -158,7 +158,7 @@ class SimulationConfig(Section):
     """Balanced accuracy that the decoder reaches on this participant in cross-validation."""
     errp: bool = True
     """False switches the error-related potential off: verdicts must then be at chance."""
-    seed: int = 1
+    seed: Annotated[int, Field(ge=0)] = 1
     """Who the participant is."""
     run: int = 0
     """Which hour of that person's: other noise, other single trials. bci-app sets it to the run's seed."""

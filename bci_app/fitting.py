@@ -60,11 +60,20 @@ def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> d
         "session": _session(result, epochs.error, config),
         "learning_curve": _by_block(epochs, config),
     }
+    gate, balanced = config.policy.gate_accuracy, result.blocked.balanced_accuracy.value
+    advice = (
+        ""
+        if balanced >= gate
+        else (
+            f"The balanced accuracy of {balanced:.1%} over contiguous folds is below the gate of {gate:.0%}: online, the "
+            "agent will search without verdicts. Look at the electrodes and calibrate again, or go on without."
+        )
+    )
     # Saved last: whatever fails before leaves no decoder behind.
     target = _free_name(path)
     model.save(fitted, target)
     progress("done", 3, 3)
-    return {"calibration": figures, "model": str(target)}
+    return {"participant": participant, "calibration": figures, "advice": advice, "model": str(target)}
 
 
 def read_calibration(path: Path, allow_damage: bool) -> tuple[Recording, str]:

@@ -47,6 +47,11 @@ def rehearse(
     progress("1/4 reading the recording", 0, 1)
     recording, person = fitting.read_calibration(path, allow_damage=False)
     name = check_label(participant if participant is not None else f"{person}REHEARSAL", "--participant")
+    if name == person:
+        raise SetupError(
+            f"--participant {name} is the person themselves: their next session would take the rehearsal's decoder for "
+            "theirs. Choose another name."
+        )
     visit = free_visit(Path(config.recordings), name)
     wishes = verbs.Wishes(config, name, visit, True, speed, secrets.randbelow(2**31) if seed is None else seed)
     verbs.check(wishes)
@@ -57,6 +62,7 @@ def rehearse(
     calibrated = verbs.calibrate(wishes, named(progress, "2/4 calibrate"))
     fitted = fitting.fit(Path(calibrated["recording"]), config, False, named(progress, "3/4 fit"))
     outcome = _compared(original, fitted["calibration"]) | {
+        "participant": name,
         "errp_size": likeness.scale,
         "errp_spread": likeness.spread,
         "person": str(file),

@@ -277,6 +277,7 @@ class _Conductor:
         self.seen.append(seen)
         self.peer.note("info", seen.sentence)
         if seen.is_clear and self.config.calibration.stop_when_clear:
+            self.peer.note("info", "That is enough: the calibration ends after the block under way.")
             self.peer.push(Command(session=self.session, command="finish"))
 
     def _check(self) -> None:

@@ -19,15 +19,46 @@ def finish(result: dict[str, Any], as_json: bool, hint: str = "") -> None:
         print_json(result)
         return
     console = Console()
-    for key, value in result.items():
-        if isinstance(value, dict):
-            value = ", ".join(f"{name} {_short(item)}" for name, item in value.items() if not isinstance(item, dict))
-        console.print(f"{key}: {value}", markup=False, highlight=False, soft_wrap=True)
+    for line in lines(result):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
     if hint:
         console.print(hint, style="dim", markup=False, soft_wrap=True)
 
 
+def lines(result: dict[str, Any], indent: str = "") -> Iterator[str]:
+    """A result for people: estimates with their intervals, sentences a line each; what is empty is left out."""
+    plain = {name: value for name, value in result.items() if _is_plain(value) and value not in (None, "", (), [], {})}
+    if indent and plain:
+        yield indent + ", ".join(f"{name} {_short(value)}" for name, value in plain.items())
+    for name, value in result.items():
+        if name in plain:
+            if not indent:
+                yield f"{name}: {_short(value)}"
+        elif isinstance(value, dict) and "sentence" in value:
+            yield f"{indent}{value['sentence']}"
+        elif isinstance(value, dict) and value:
+            yield f"{indent}{name}:"
+            yield from lines(value, f"{indent}  ")
+        elif isinstance(value, list | tuple) and value:
+            texts = [item for item in value if isinstance(item, str)]
+            yield f"{indent}{name}:" + ("" if texts else f" {len(value)} rows, see --json")
+            yield from (f"{indent}  {text}" for text in texts)
+
+
+def _is_plain(value: Any) -> bool:
+    """Whether it fits into a line with others: a number, a word, an estimate, an interval."""
+    if isinstance(value, dict):
+        return set(value) == {"value", "low", "high"}
+    if isinstance(value, list | tuple):
+        return len(value) == 2 and all(isinstance(item, float) for item in value)
+    return True
+
+
 def _short(value: Any) -> str:
+    if isinstance(value, dict):
+        return f"{value['value']:.3f} [{value['low']:.3f}, {value['high']:.3f}]"
+    if isinstance(value, list | tuple):
+        return f"[{value[0]:.3f}, {value[1]:.3f}]"
     return f"{value:.3f}" if isinstance(value, float) else str(value)
 
 

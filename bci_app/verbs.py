@@ -98,7 +98,10 @@ def online(
     progress(f"policy {card.name}: {reason}", 0, 1)
     outcome = conduct(plan, progress)
     figures = metrics.online([read(outcome.recording)]) if outcome.reason == "complete" else {}
+    whose = model.info.participant
+    others = () if whose == wishes.participant else (f"The decoder is participant {whose}'s.",)
     return _told(outcome) | {
+        "notes": [*outcome.notes, *others],
         "figures": figures,
         "policy": card.name,
         "policy_reason": reason,
