@@ -65,8 +65,8 @@ def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> d
         ""
         if balanced >= gate
         else (
-            f"The balanced accuracy of {balanced:.1%} over contiguous folds is below the gate of {gate:.0%}: online, the "
-            "agent will search without verdicts. Look at the electrodes and calibrate again, or go on without."
+            f"The balanced accuracy of {balanced:.1%} over contiguous folds is below the gate of {gate:.0%}: online "
+            "the agent will search without verdicts. Look at the electrodes and calibrate again, or go on without."
         )
     )
     # Saved last: whatever fails before leaves no decoder behind.
