@@ -22,6 +22,7 @@ from decoder import calibration, learning_curve, model
 from decoder.chain import design
 from decoder.epochs import Epoch, Rejection
 from decoder.evidence import held_out_evidence
+from decoder.eyes import Eyes, eeg_outputs
 from decoder.judge import judge_without
 from decoder.operator import features
 from decoder.reliability import predict_session, reliability
@@ -46,7 +47,7 @@ def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> d
         design(config.chain, recording.eeg.sfreq),
         config.classifier,
         participant=participant,
-        channels=recording.eeg.picked,
+        channels=_used(recording.eeg.picked, epochs.eyes.eyes),
         n_rejected=len(epochs.moves) - len(epochs.error),
         eyes=epochs.eyes.eyes,
         on_eyes=epochs.eyes.reason,
@@ -89,6 +90,11 @@ def read_calibration(path: Path, allow_damage: bool) -> tuple[Recording, str]:
     if opening[0][1].task != "calibration":
         raise SetupError(f"{path} is an {opening[0][1].task} run; a decoder is fitted on a calibration. Give that one.")
     return recording, opening[0][1].participant
+
+
+def _used(channels: list[str], eyes: Eyes | None) -> list[str]:
+    """Those a decoder needs of a stream: EOG channels only where the eyes are regressed out by them."""
+    return channels if eyes else [channels[index] for index in eeg_outputs(channels)]
 
 
 @dataclass(frozen=True, eq=False)

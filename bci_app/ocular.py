@@ -15,10 +15,7 @@ from bci_app.protocol import Electrodes
 from bci_app.recording import Recording
 from decoder.eyes import Eyes, eeg_outputs, is_eog, learn_eyes, ocular_sources
 from decoder.spatial import repair
-from decoder.timeline import segment_starts
-
-GAP_S = 1.0
-"""Seconds between two stamps that end a stretch: shorter gaps leave no more trace than a blink (decided)."""
+from decoder.timeline import piece_edges
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +103,7 @@ def _learn(recording: Recording, decisions: Decisions, seconds: float) -> Eyes:
 
 
 def longest_stretch(times: NDArray[np.float64], strange: NDArray[np.int64]) -> slice:
-    """The longest stretch over which time runs forward and is never missing for `GAP_S`, without `strange` samples."""
-    apart = np.flatnonzero(np.diff(times) > GAP_S) + 1
-    edges = np.unique(np.concatenate(([0, len(times)], apart, segment_starts(times), strange, strange + 1)))
+    """The longest stretch over which time runs forward and is never missing for long, without `strange` samples."""
+    edges = np.unique(np.concatenate((piece_edges(times), strange, strange + 1)))
     longest = int(np.argmax(np.diff(edges)))
     return slice(int(edges[longest]), int(edges[longest + 1]))

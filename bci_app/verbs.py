@@ -97,7 +97,9 @@ def online(
     plan = replace(_plan(wishes, "online", map_name, path, card.path), told=str(model.info.evidence.told))
     progress(f"policy {card.name}: {reason}", 0, 1)
     outcome = conduct(plan, progress)
-    figures = metrics.online([read(outcome.recording)]) if outcome.reason == "complete" else {}
+    complete = outcome.reason == "complete"
+    eeg_type = wishes.config.eeg.stream_type
+    figures = metrics.online([read(outcome.recording, eeg_type=eeg_type)]) if complete else {}
     whose = model.info.participant
     others = () if whose == wishes.participant else (f"The decoder is participant {whose}'s.",)
     return _told(outcome) | {

@@ -17,7 +17,7 @@ from bci_app.errors import SetupError
 from decoder.background import moment, remember
 from decoder.epochs import Epoch, Shape, cut_recording
 from decoder.participant import RESPONSE_S, Answer, Person, stratified_normal
-from decoder.timeline import segment_starts
+from decoder.timeline import piece_edges
 
 Array = NDArray[np.float64]
 
@@ -35,8 +35,6 @@ STRETCH_S = 20.0
 """Seconds of background played in one piece (decided): long against the decoder's reach back of 3.3 s."""
 FADE_S = 1.0
 """Seconds over which one stretch fades into the next (decided)."""
-GAP_S = 1.0
-"""Seconds between two stamps that no stretch may span (decided)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +83,7 @@ def learn(
     Raises SetupError when too few moves of a class, or no gapless stretch, are there.
     """
     background = np.nan_to_num(np.asarray(samples, dtype=np.float32), nan=0.0, posinf=0.0, neginf=0.0, copy=True)
-    edges = _edges(times)
+    edges = piece_edges(times)
     if np.diff(edges).max() < round((STRETCH_S + FADE_S) * sfreq):
         raise SetupError(
             f"The longest stretch of this recording without a gap is {np.diff(edges).max() / sfreq:.1f} s; a rehearsal "
@@ -317,9 +315,3 @@ def _line(at: Array, levels: Array, n_times: int) -> Array:
     slope = (levels[1] - levels[0]) / (at[1] - at[0])
     line: Array = levels[0] + (np.arange(n_times)[:, None] - at[0]) * slope
     return line
-
-
-def _edges(times: Array) -> NDArray[np.int64]:
-    """Where pieces begin over which time runs forward and is never missing for `GAP_S`, and the end."""
-    apart = np.flatnonzero(np.diff(times) > GAP_S) + 1
-    return np.unique(np.concatenate(([0, len(times)], apart, segment_starts(times)))).astype(np.int64)

@@ -67,6 +67,8 @@ def load(path: Path) -> Likeness:
     fits = all(arrays[name].ndim == n for name, n in _ARRAYS.items()) and all(
         arrays[name].shape[1] == n_channels for name in ("background", "maps", "errp_maps")
     )
-    if not fits or arrays["edges"][-1] != len(arrays["background"]):
+    edges = arrays["edges"]
+    cut = len(edges) >= 2 and edges[-1] == len(arrays["background"]) and bool((np.diff(edges) > 0).all())
+    if not (fits and cut):
         raise SetupError(f"{path} is damaged: its arrays don't fit its {n_channels} channels. Make it again.")
     return Likeness(**arrays, spread=info.spread, scale=info.scale, names=info.names, sfreq=info.sfreq)

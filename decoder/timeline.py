@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 MAX_JITTER = 0.040
 """Seconds a stamp may lie off the line of its neighbours (decided: a little more than the worst known chunks)."""
+GAP_S = 1.0
+"""Seconds between two stamps that end a piece: shorter gaps leave no more trace than a blink (decided)."""
 _ODD = 0.02  # samples: a step between stamps off by more is no clock's drift
 _EVEN = 4  # odd steps in a stretch, at most, for its stamps to count as even
 _TOGETHER = 0.1  # samples: stamps closer than this are of arrival, 10 us apart, and jitter seldom is
@@ -58,6 +60,12 @@ def segment_starts(times: Array, previous: float = -np.inf) -> NDArray[np.int64]
     """
     before = np.concatenate(([previous], times[:-1]))
     return np.flatnonzero(times < before - MAX_JITTER)
+
+
+def piece_edges(times: Array) -> NDArray[np.int64]:
+    """Where pieces begin over which time runs forward and is never missing for `GAP_S`, and the end."""
+    apart = np.flatnonzero(np.diff(times) > GAP_S) + 1
+    return np.unique(np.concatenate(([0, len(times)], apart, segment_starts(times)))).astype(np.int64)
 
 
 def offset_of_line(times: Array, sfreq: float, origin: int) -> float:

@@ -8,11 +8,12 @@ import pytest
 
 from bci_app.config import Config, validated
 from bci_app.eeg import EegDescription
-from bci_app.fitting import Labelled, _by_block, _session, labelled
+from bci_app.fitting import Labelled, _by_block, _session, _used, labelled
 from bci_app.ocular import Learnt
 from bci_app.protocol import Electrodes, MoveOnset, Truth
 from bci_app.recording import Recording, Stamped
 from decoder.calibration import calibrate
+from decoder.eyes import Eyes
 from decoder.participant import Participant
 
 
@@ -96,3 +97,9 @@ def test_eog_channels_are_the_eyes_alone() -> None:
     assert found.features.shape == (60, 64 * 15)
     assert found.ocular.shape == (60, 2 * 15)
     assert not found.ocular[:, :15].any()  # VEOG is bad, and nobody can repair it
+
+
+def test_a_decoder_asks_for_eog_channels_only_where_it_uses_them() -> None:
+    eyes = Eyes(np.zeros((1, 3)), np.zeros((3, 1)))
+    assert _used(["Fz", "VEOG", "Cz"], None) == ["Fz", "Cz"]
+    assert _used(["Fz", "VEOG", "Cz"], eyes) == ["Fz", "VEOG", "Cz"]
