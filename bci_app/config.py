@@ -166,6 +166,8 @@ class SimulationConfig(Section):
     """Real seconds from acquisition to emission, as an amplifier's own (decided; 10-50 ms are usual)."""
     chunk_s: Annotated[float, Field(gt=0)] = 0.01
     """Real seconds of samples a push (decided; 5-30 ms are advised)."""
+    dead: tuple[str, ...] = ()
+    """Channels whose electrodes are off: all they deliver is an input's noise."""
     background: str | None = None
     """Path of a recording (EDF, XDF, ...) whose EEG replaces the synthetic background."""
     rehearse: str | None = None

@@ -7,14 +7,18 @@ import numpy as np
 from bci_app.clock import Clock
 from bci_app.config import Config, SimulationConfig
 from bci_app.eeg import EegDescription
+from bci_app.errors import SetupError
 from bci_app.lsl import EegOutlet, MessageInlet
 from bci_app.peer import Peer
 from bci_app.protocol import AMPLIFIER_NOTES, STIMULUS, TRUTH, SessionEnd, Truth, simulated_source_id
 from decoder.background import read_background
+from decoder.montage import match_channels
 from decoder.participant import Participant, Person
 from decoder.rehearsal import Rehearsed
 from decoder.rehearsal_file import load
 
+INPUT_NOISE_UV = 0.2
+"""Standard deviation of an amplifier's own noise, uV (decided; 0.1 to 0.5 are usual)."""
 LOOK_EVERY = 10
 """Rounds between two looks for the stimulus's streams, while they are not found: a look takes time from the play."""
 
@@ -51,6 +55,13 @@ class _Player:
         self._t0 = peer.clock.now()
         self._participant = make_participant(config.simulation, self._t0)
         names = tuple(self._participant.names)
+        self._dead, missing = match_channels(config.simulation.dead, names)
+        if missing:
+            raise SetupError(
+                f"simulation.dead names channels that this participant hasn't got: {', '.join(missing)}. It has "
+                f"{', '.join(names)}."
+            )
+        self._noise = np.random.default_rng(config.simulation.run)
         n_channels = len(names)
         source_id = config.eeg.source_id or simulated_source_id(peer.session)
         description = EegDescription(
@@ -104,6 +115,9 @@ class _Player:
         if n_new <= 0:
             return
         samples = self._participant.render(self._played, n_new)
+        if self._dead:
+            samples = samples.copy()  # the participant keeps what it has rendered
+            samples[:, self._dead] = self._noise.normal(0, INPUT_NOISE_UV, (n_new, len(self._dead)))
         stamps = self._t0 + np.arange(self._played, self._played + n_new) / self._participant.sfreq
         self._outlet.push(samples, stamps)
         self._played += n_new

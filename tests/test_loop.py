@@ -40,6 +40,8 @@ moves_per_block = 60
 break_s = 3
 [online]
 distances = [2, 6]
+[simulation]
+dead = ["C3"]
 """
 
 
@@ -81,7 +83,8 @@ def test_every_move_of_the_calibration_has_a_valid_epoch(session: Session) -> No
     assert session.calibration["moves"] == 120
     assert session.calibration["verdicts"] == {"unjudged": 120}
     assert session.fit["calibration"]["n_moves"] == session.fit["calibration"]["n_valid"] == 120
-    assert session.calibration["notes"] == []
+    assert session.calibration["notes"] == ["decoder: Channel C3 is bad: flat."]
+    assert "sources learnt from" in session.fit["calibration"]["eyes"]["correction"]
 
 
 def test_the_recording_holds_what_was_said(session: Session) -> None:
@@ -184,6 +187,7 @@ def test_replay_is_exact(session: Session, cli: Cli, name: str) -> None:
     told = session.calibration if name == "calibration" else session.online[name]
     assert counts["verdicts"] == counts["verdicts_equal"] == told["moves"]
     assert counts["actions"] == counts["actions_equal"] == told["actions"]
+    assert counts["electrodes"] == counts["electrodes_equal"] == len(read(session.recording(name)).of(EpisodeStart))
 
 
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.97])
@@ -232,7 +236,7 @@ def test_verdicts_answer_the_truth_of_each_move_and_carry_their_samples(session:
 def test_no_warning_was_needed(session: Session) -> None:
     for name in ("calibration", "open", "obstacles"):
         notes = [note for _, note in read(session.recording(name)).of(Note) if note.level != "info"]
-        assert notes == []
+        assert [note.text for note in notes] == ["Channel C3 is bad: flat."]
 
 
 def test_processes_are_four_and_meet_only_on_lsl(session: Session) -> None:
