@@ -208,7 +208,9 @@ class Clenching:
 
     def __init__(self) -> None:
         self.amplifier = ForeignAmplifier(spoil=self.spoil)
-        self._resolver = pylsl.ContinuousResolver("name", "bci-stimulus")
+        self._resolver = pylsl.ContinuousResolver(
+            pred="name='bci-stimulus' and starts-with(source_id,'bci-app/sub-')"  # bci-app's: no other test's stimulus
+        )
         self._stimulus: Listener | None = None
         self._spoilt = 0
         self._left = 0  # samples still to be spoilt
