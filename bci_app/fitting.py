@@ -1,6 +1,7 @@
 """Recorded calibration in, decoder file out."""
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from bci_app.config import Config
 from bci_app.errors import SetupError
 from bci_app.lookout import Seen
 from bci_app.metrics import truths
-from bci_app.moves import Move, cut_moves, electrodes, judges
+from bci_app.moves import Key, Move, cut_moves, electrodes, judges
 from bci_app.ocular import Learnt, learn, sources
 from bci_app.progress import Progress
 from bci_app.protocol import SessionStart
@@ -23,10 +24,9 @@ from decoder.chain import design
 from decoder.epochs import Epoch, Rejection
 from decoder.evidence import held_out_evidence
 from decoder.eyes import Eyes, eeg_outputs
-from decoder.judge import judge_without
+from decoder.judge import Judge, judge_without
 from decoder.operator import features
 from decoder.reliability import predict_session, reliability
-from decoder.spatial import ocular
 
 
 def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> dict[str, Any]:
@@ -61,20 +61,21 @@ def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> d
         "session": _session(result, epochs.error, config),
         "learning_curve": _by_block(epochs, config),
     }
-    gate, balanced = config.policy.gate_accuracy, result.blocked.balanced_accuracy.value
-    advice = (
-        ""
-        if balanced >= gate
-        else (
-            f"The balanced accuracy of {balanced:.1%} over contiguous folds is below the gate of {gate:.0%}: online "
-            "the agent will search without verdicts. Look at the electrodes and calibrate again, or go on without."
-        )
-    )
     # Saved last: whatever fails before leaves no decoder behind.
     target = _free_name(path)
     model.save(fitted, target)
     progress("done", 3, 3)
-    return {"participant": participant, "calibration": figures, "advice": advice, "model": str(target)}
+    return {"participant": participant, "calibration": figures, "advice": _advice(result, config), "model": str(target)}
+
+
+def _advice(result: calibration.Calibration, config: Config) -> str:
+    gate, balanced = config.policy.gate_accuracy, result.blocked.balanced_accuracy.value
+    if balanced >= gate:
+        return ""
+    return (
+        f"The balanced accuracy of {balanced:.1%} over contiguous folds is below the gate of {gate:.0%}: online the "
+        "agent will search without verdicts. Look at the electrodes and calibrate again, or go on without."
+    )
 
 
 def read_calibration(path: Path, allow_damage: bool) -> tuple[Recording, str]:
@@ -108,6 +109,7 @@ class Labelled:
     features, error : float64, (n_valid, n_features), uV, and bool, (n_valid,), whether each move was an error.
     eyes : the ocular correction that was applied.
     ocular : float64, (n_valid, n_sources * n_windows), the same windows of the ocular sources alone.
+    judge_of : from a move's key to the judge that gave its features.
     """
 
     moves: list[Move]
@@ -117,14 +119,14 @@ class Labelled:
     error: NDArray[np.bool_]
     eyes: Learnt
     ocular: NDArray[np.float64]
+    judge_of: Callable[[Key], Judge]
 
 
 def labelled(recording: Recording, config: Config) -> Labelled:
     """Cut a calibration's epochs, with the electrodes repaired that were found bad and the eyes regressed out."""
     decisions, known = electrodes(recording), truths(recording)
     eyes = learn(recording, decisions, config.eyes)
-    correction = ocular(eyes.eyes.weights, eyes.eyes.sources) if eyes.eyes else None
-    judge = judge_without(config, recording.eeg, "", correction)
+    judge = judge_without(config, recording.eeg, "", eyes.eyes)
     judge_of, sources_of = judges(judge, decisions), sources(recording, decisions, eyes)
     moves, valid, rows, by_eyes, error, reasons = [], [], [], [], [], Counter[str]()
     for move, result in cut_moves(recording, judge.shape):
@@ -139,7 +141,9 @@ def labelled(recording: Recording, config: Config) -> Labelled:
             alone = sources_of(move.key)
             if alone is not None:
                 by_eyes.append(features(result.data, judge.operator, alone))
-    return Labelled(moves, reasons, valid, np.array(rows), np.array(error, dtype=bool), eyes, np.array(by_eyes))
+    return Labelled(
+        moves, reasons, valid, np.array(rows), np.array(error, dtype=bool), eyes, np.array(by_eyes), judge_of
+    )
 
 
 def _by_eyes_alone(epochs: Labelled, config: Config) -> calibration.Scores | None:

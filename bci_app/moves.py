@@ -1,21 +1,28 @@
 """The epochs of a recorded run, cut by the very functions that cut them live."""
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
+from typing import TypeVar
 
 from bci_app.protocol import Electrodes, MoveOnset, Verdict
 from bci_app.recording import Recording
 from decoder.epochs import Epoch, Rejection, Shape, cut_one_by_one
 from decoder.judge import Judge
 
+Key = tuple[int, int]
+"""(episode, step)."""
+Decisions = Mapping[Key, Electrodes]
+"""What was decided about the electrodes, by the first move each decision is for; nothing by a decoder that didn't."""
+Made = TypeVar("Made")
+
 
 @dataclass(frozen=True, eq=False)
 class Move:
     """One recorded move: its (episode, step), and its onset on the EEG's clock, which is off the stimulus's, in s."""
 
-    key: tuple[int, int]
+    key: Key
     onset: float
     clock_offset: float
 
@@ -38,26 +45,22 @@ def cut_moves(recording: Recording, shape: Shape) -> Iterator[tuple[Move, Epoch 
         yield Move(key, onset, offsets.get(key, 0.0)), result
 
 
-def judges(judge: Judge, decisions: dict[tuple[int, int], Electrodes]) -> Callable[[tuple[int, int]], Judge]:
-    """From a move's (episode, step) to its judge: `judge`, with the electrodes repaired that were found bad before it.
+def by_bad(decisions: Decisions, make: Callable[[tuple[str, ...]], Made]) -> Callable[[Key], Made]:
+    """From a move to what ``make`` makes of the channels that were bad at it; made once for each set of them."""
+    decided, made = sorted(decisions), cache(make)
 
-    Parameters
-    ----------
-    decisions : by (episode, step) of the first move each is for; none where the decoder that recorded made none.
-    """
-    decided = sorted(decisions)
-
-    @cache
-    def without(bad: tuple[str, ...]) -> Judge:
-        return judge.with_bad(bad)
-
-    def of(key: tuple[int, int]) -> Judge:
+    def of(key: Key) -> Made:
         place = bisect_right(decided, key)
-        return without(tuple(sorted(decisions[decided[place - 1]].bad))) if place else judge
+        return made(tuple(sorted(decisions[decided[place - 1]].bad)) if place else ())
 
     return of
 
 
-def electrodes(recording: Recording) -> dict[tuple[int, int], Electrodes]:
+def judges(judge: Judge, decisions: Decisions) -> Callable[[Key], Judge]:
+    """From a move to its judge: `judge`, with the electrodes repaired that were found bad before it."""
+    return by_bad(decisions, judge.with_bad)
+
+
+def electrodes(recording: Recording) -> dict[Key, Electrodes]:
     """What was decided about the electrodes, by (episode, step) of the first move each decision is for."""
     return {(decision.episode, decision.step): decision for _, decision in recording.of(Electrodes)}

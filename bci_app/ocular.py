@@ -1,17 +1,15 @@
 """What a recorded calibration tells of the eyes: the correction that is learnt from it, or why there is none."""
 
-from bisect import bisect_right
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bci_app.config import EyesConfig
 from bci_app.errors import SetupError
-from bci_app.protocol import Electrodes
+from bci_app.moves import Decisions, Key, by_bad
 from bci_app.recording import Recording
 from decoder.eyes import Eyes, eeg_outputs, is_eog, learn_eyes, ocular_sources
 from decoder.spatial import repair
@@ -34,10 +32,6 @@ class Learnt:
     reason: str
     alone: NDArray[np.float64] | None
     seen_by: str = ""
-
-
-Decisions = Mapping[tuple[int, int], Electrodes]
-"""What was found bad, by (episode, step)."""
 
 
 def learn(recording: Recording, decisions: Decisions, config: EyesConfig) -> Learnt:
@@ -68,23 +62,14 @@ def learn(recording: Recording, decisions: Decisions, config: EyesConfig) -> Lea
     return Learnt(eyes, reason, alone, seen_by)
 
 
-def sources(
-    recording: Recording, decisions: Decisions, learnt: Learnt
-) -> Callable[[tuple[int, int]], NDArray[np.float64] | None]:
-    """From a move's (episode, step) to the ocular sources by themselves, with what is bad repaired; None without."""
-    channels, decided, alone = recording.eeg.picked, sorted(decisions), learnt.alone
-    if alone is None:
-        return lambda key: None
+def sources(recording: Recording, decisions: Decisions, learnt: Learnt) -> Callable[[Key], NDArray[np.float64] | None]:
+    """From a move to the ocular sources by themselves, with what is bad repaired; None without."""
+    channels, alone = recording.eeg.picked, learnt.alone
 
-    @cache
-    def repaired(bad: tuple[str, ...]) -> NDArray[np.float64]:
-        return np.ascontiguousarray(alone @ repair(channels, eeg_outputs(channels), bad))
+    def repaired(bad: tuple[str, ...]) -> NDArray[np.float64] | None:
+        return None if alone is None else np.ascontiguousarray(alone @ repair(channels, eeg_outputs(channels), bad))
 
-    def of(key: tuple[int, int]) -> NDArray[np.float64]:
-        place = bisect_right(decided, key)
-        return repaired(tuple(sorted(decisions[decided[place - 1]].bad)) if place else ())
-
-    return of
+    return by_bad(decisions, repaired)
 
 
 def _learn(recording: Recording, decisions: Decisions, seconds: float) -> Eyes:
@@ -94,7 +79,7 @@ def _learn(recording: Recording, decisions: Decisions, seconds: float) -> Eyes:
     bad = sorted(name for name, n in times_bad.items() if n > len(decisions) / 2)
     good = [index for index, name in enumerate(eeg.picked) if name not in bad]
     microvolts = eeg.in_microvolts(recording.samples)
-    strange = np.flatnonzero(~np.isfinite(microvolts[:, good]).all(axis=1))
+    strange = np.flatnonzero(~np.isfinite(microvolts)[:, good].all(axis=1))
     stretch = longest_stretch(recording.times, strange)
     n = min(stretch.stop - stretch.start, round(seconds * eeg.sfreq))
     samples = np.asarray(microvolts[stretch.start : stretch.start + n], dtype=np.float64)

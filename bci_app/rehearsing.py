@@ -9,19 +9,15 @@ from typing import Any
 from bci_app import fitting, verbs
 from bci_app.config import Config
 from bci_app.errors import SetupError
-from bci_app.fitting import Labelled
 from bci_app.gridworld import load_map
-from bci_app.moves import electrodes, judges
 from bci_app.progress import Progress, named
 from bci_app.protocol import Truth
 from bci_app.recording import Recording
-from bci_app.runs import check_label, checksum, free_visit
+from bci_app.runs import check_label, checksum, free_visit, make_folder
 from decoder import rehearsal_file
 from decoder.calibration import Calibration, Estimate, calibrate
-from decoder.judge import judge_without
 from decoder.rehearsal import Likeness, learn
 from decoder.rehearsal_scale import Watch, scale_for
-from decoder.spatial import ocular
 
 
 def rehearse(
@@ -98,46 +94,27 @@ def likeness_of(recording: Recording, config: Config, progress: Progress) -> tup
     progress("cross-validating the original", 1, 3)
     n = min(n_asked, len(epochs.error))
     original = calibrate(epochs.features[:n], epochs.error[:n], config.classifier, config.chain.n_windows)
-    onsets = _onsets(epochs)
+    onsets = [move.onset for move in epochs.valid]
     microvolts = recording.eeg.in_microvolts(recording.samples)
     names = tuple(recording.eeg.picked)
     likeness = learn(microvolts, recording.times, onsets, epochs.error, names, recording.eeg.sfreq)
     progress("finding the ErrP's size", 2, 3)
-    watch = _watch(recording, config, epochs, onsets, n)
+    # The first moves, as the recording's own decoder looks at them.
+    judge_of, valid = epochs.judge_of, epochs.valid
+    shape = judge_of(valid[0].key).shape
+    watch = Watch(
+        onsets[:n], epochs.error[:n], shape, lambda number, epoch: judge_of(valid[number].key).features(epoch)
+    )
     accuracy = original.blocked.balanced_accuracy.value
     scale, _ = scale_for(likeness, accuracy, watch, config.classifier, config.chain.n_windows, config.simulation.seed)
     return replace(likeness, scale=scale), original
-
-
-def _onsets(epochs: Labelled) -> list[float]:
-    """Onsets of the valid moves on the EEG's clock, s."""
-    return [move.onset for move in epochs.valid]
-
-
-def _watch(recording: Recording, config: Config, epochs: Labelled, onsets: list[float], n: int) -> Watch:
-    """The recording's first `n` valid moves, as its own decoder looks at them."""
-    eyes = epochs.eyes.eyes
-    judge = judge_without(config, recording.eeg, "", ocular(eyes.weights, eyes.sources) if eyes else None)
-    judge_of = judges(judge, electrodes(recording))
-    return Watch(
-        onsets[:n],
-        epochs.error[:n],
-        judge.shape,
-        lambda number, epoch: judge_of(epochs.valid[number].key).features(epoch),
-    )
 
 
 def _save(likeness: Likeness, config: Config, wishes: verbs.Wishes, person: str, path: Path) -> Path:
     """Into the rehearsal's own visit, for it belongs to that."""
     stem = f"sub-{wishes.participant}_ses-{wishes.visit}"
     folder = Path(config.recordings) / f"sub-{wishes.participant}" / f"ses-{wishes.visit}" / "eeg"
-    try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        raise SetupError(
-            f"Can't write below {config.recordings}: {error.strerror}. Free or unlock the disk, or choose another "
-            "folder with `recordings = ...` in the configuration."
-        ) from error
+    make_folder(folder, Path(config.recordings))
     file = folder / f"{stem}_person.safetensors"
     rehearsal_file.save(likeness, file, person, checksum(path))
     return file

@@ -80,14 +80,19 @@ def new_run(folder: Path, participant: str, visit: str, task: str) -> Run:
     number = 1
     while any(_files(run := Run(folder, participant, visit, task, number))):
         number += 1
+    make_folder(run.logs, folder)
+    return run
+
+
+def make_folder(path: Path, recordings: Path) -> None:
+    """Make a new folder, parents and all, below that of the recordings. Raises SetupError where it can't be."""
     try:
-        run.logs.mkdir(parents=True)
+        path.mkdir(parents=True)
     except OSError as error:
         raise SetupError(
-            f"Can't write recordings below {folder}: {error.strerror}. Free or unlock the disk, or choose another "
+            f"Can't write recordings below {recordings}: {error.strerror}. Free or unlock the disk, or choose another "
             "folder with `recordings = ...` in the configuration."
         ) from error
-    return run
 
 
 def free_visit(folder: Path, participant: str) -> str:

@@ -1,6 +1,7 @@
 """EEG without events, to be answered in by the simulated participant: made up, or a recording in a loop."""
 
 from collections import OrderedDict
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import Protocol
@@ -90,14 +91,7 @@ class SyntheticBackground:
 
     def samples(self, start: int, n_times: int) -> Array:
         """Samples from number `start` >= 0 on: float64, (n_times, n_channels), uV."""
-        out = np.empty((n_times, len(self.names)))
-        done = 0
-        while done < n_times:
-            number, place = divmod(start + done, self._n_block)
-            part = self._block(number)[place : place + n_times - done]
-            out[done : done + len(part)] = part
-            done += len(part)
-        return out
+        return from_blocks(self._block, self._n_block, start, (n_times, len(self.names)))
 
     def _block(self, number: int) -> Array:
         if number not in self._blocks:
@@ -218,6 +212,17 @@ def bump(where: Array, centre: tuple[float, float, float], width: float) -> Arra
     angle = np.arccos(np.clip(where @ direction, -1, 1))
     topography: Array = np.nan_to_num(np.exp(-(angle**2) / (2 * width**2)))
     return topography
+
+
+def from_blocks(block: Callable[[int], Array], n_block: int, start: int, shape: tuple[int, int]) -> Array:
+    """Samples from number `start` >= 0 on, (n_times, n_channels), of EEG made in numbered blocks of `n_block`."""
+    out, done = np.empty(shape), 0
+    while done < len(out):
+        number, place = divmod(start + done, n_block)
+        part = block(number)[place : place + len(out) - done]
+        out[done : done + len(part)] = part
+        done += len(part)
+    return out
 
 
 def remember(cache: OrderedDict[int, Array], number: int, value: Array, n_kept: int = 3) -> None:

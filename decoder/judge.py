@@ -14,7 +14,7 @@ from decoder.chain import design
 from decoder.classifier import LinearClassifier
 from decoder.epochs import Epoch, Rejection, Shape
 from decoder.evidence import Evidence
-from decoder.eyes import eeg_outputs
+from decoder.eyes import Eyes, eeg_outputs
 from decoder.model import DecoderModel, fit_stream
 from decoder.operator import chain_operator, digest, features
 from decoder.spatial import Montage, ocular
@@ -112,8 +112,7 @@ def judge_with(model: DecoderModel, config: Config, eeg: EegDescription, session
     """A judge with a fitted decoder. Raises SetupError when the stream doesn't fit it."""
     info = model.info
     order = fit_stream(model, eeg.name, eeg.picked, eeg.sfreq)
-    eyes = ocular(model.eyes.weights, model.eyes.sources) if model.eyes else None
-    montage = Montage(len(eeg.picks), info.channels, order, eeg_outputs(info.channels), eyes)
+    montage = _montage(len(eeg.picks), info.channels, order, model.eyes)
     shape = Shape(eeg.sfreq, info.n_before, info.n_after)
     return Judge(
         session,
@@ -128,10 +127,15 @@ def judge_with(model: DecoderModel, config: Config, eeg: EegDescription, session
     )
 
 
-def judge_without(config: Config, eeg: EegDescription, session: str, eyes: NDArray[np.float64] | None = None) -> Judge:
-    """A judge for a calibration: all EEG channels, features but no verdict; ``eyes`` from `decoder.spatial.ocular`."""
+def judge_without(config: Config, eeg: EegDescription, session: str, eyes: Eyes | None = None) -> Judge:
+    """A judge for a calibration: all EEG channels, features but no verdict; ``eyes`` are regressed out."""
     chain = design(config.chain, eeg.sfreq)
     channels = tuple(eeg.picked)
-    montage = Montage(len(channels), channels, np.arange(len(channels)), eeg_outputs(channels), eyes)
+    montage = _montage(len(channels), channels, np.arange(len(channels)), eyes)
     shape = Shape(eeg.sfreq, chain.n_before, chain.n_after)
     return Judge(session, shape, config.eeg, chain_operator(chain), montage, montage.matrix(), None, None, None)
+
+
+def _montage(n_stream: int, channels: tuple[str, ...], order: NDArray[np.int64], eyes: Eyes | None) -> Montage:
+    correction = ocular(eyes.weights, eyes.sources) if eyes else None
+    return Montage(n_stream, channels, order, eeg_outputs(channels), correction)

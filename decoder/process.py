@@ -123,6 +123,10 @@ class _Server:
         # machines, though, so it is measured once: that takes half a second, all later measurements are at hand.
         apart = stimulus.clock_correction() - self._eeg.clock_correction()
         same_clock = stimulus.hostname == self._eeg.description.hostname and abs(apart) < SAME_CLOCK_S
+
+        def offset() -> float:
+            return 0.0 if same_clock else stimulus.clock_correction() - self._eeg.clock_correction()
+
         ended, ended_at = False, 0.0
         while not ended or self._buffer.n_waiting:
             self._peer.say("ready", f"{self._buffer.n_waiting} epochs open")
@@ -131,16 +135,15 @@ class _Server:
             self._check_silence(len(times))
             self._buffer.push(samples, times)
             for item in self._peer.hear(stimulus):
-                offset = 0.0 if same_clock else stimulus.clock_correction() - self._eeg.clock_correction()
                 match item.message:
                     case MoveOnset() as move:
                         if self._n_rejected >= REJECTED_BEFORE_A_LOOK:
                             self._examine((move.episode, move.step))
-                        self._expect((move.episode, move.step), item.stamp, offset)
+                        self._expect((move.episode, move.step), item.stamp, offset())
                     case EpisodeStart() as start:
                         self._examine((start.episode, 0))
                     case SessionStart():
-                        self._recorded_since = item.stamp + offset - RECORDED_S
+                        self._recorded_since = item.stamp + offset() - RECORDED_S
                     case SessionEnd():
                         ended, ended_at = True, arrived
             if ended and arrived - ended_at > LOST_S:

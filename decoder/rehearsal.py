@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bci_app.errors import SetupError
-from decoder.background import moment, remember
+from decoder.background import from_blocks, moment, remember
 from decoder.epochs import Epoch, Shape, cut_recording
 from decoder.participant import RESPONSE_S, Answer, Person, stratified_normal
 from decoder.timeline import piece_edges
@@ -182,14 +182,7 @@ class RedrawnBackground:
 
     def samples(self, start: int, n_times: int) -> Array:
         """Samples from number `start` >= 0 on: float64, (n_times, n_channels), uV."""
-        out = np.empty((n_times, len(self.names)))
-        done = 0
-        while done < n_times:
-            number, place = divmod(start + done, self._n_step)
-            part = self._block(number)[place : place + n_times - done]
-            out[done : done + len(part)] = part
-            done += len(part)
-        return out
+        return from_blocks(self._block, self._n_step, start, (n_times, len(self.names)))
 
     def _block(self, number: int) -> Array:
         if number not in self._blocks:

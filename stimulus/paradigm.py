@@ -298,8 +298,8 @@ class Paradigm:
     def finish(self, now: float) -> None:
         """Let the block under way be the last; between two, the run is complete at once."""
         self._is_enough = True
-        in_break = self._paused_in is Phase.BREAK if self._phase is Phase.PAUSED else False
-        if in_break or self._phase in (Phase.BREAK, Phase.KEY):
+        where = self._paused_in if self._phase is Phase.PAUSED else self._phase
+        if where in (Phase.BREAK, Phase.KEY):
             self._complete(now)
 
     def stop(self, now: float, reason: Literal["interrupted", "failed"], text: str = "") -> None:

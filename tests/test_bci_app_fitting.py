@@ -27,7 +27,7 @@ def epochs() -> Labelled:
     rng = np.random.default_rng(0)
     error = np.tile(np.arange(10) < 3, 20)
     features = rng.normal(0, 1, (200, 30)) + 0.4 * error[:, None]
-    return Labelled([], Counter(), [], features, error, Learnt(None, "", None), np.empty(0))
+    return Labelled([], Counter(), [], features, error, Learnt(None, "", None), np.empty(0), judge_of=None)
 
 
 def test_a_session_is_predicted_for_the_moves_of_the_configuration(epochs: Labelled, config) -> None:

@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bci_app.protocol import Electrodes, decode, encode
+from bci_app.session import LEAD_S
 from decoder.background import SyntheticBackground
-from decoder.electrodes import Examiner, changes
+from decoder.electrodes import RECORDED_S, Examiner, changes
 from decoder.epochs import EpochBuffer, Shape
 from decoder.montage import MONTAGE_64
 
@@ -98,3 +99,7 @@ def test_what_lies_before_a_gap_is_not_looked_at(eeg: tuple[np.ndarray, np.ndarr
     assert set(found.bad) == {CHANNELS[5], CHANNELS[9]}
     assert (found.step, found.n_samples) == (5, 1250)
     assert examiner.again(found, shifted, later) == found
+
+
+def test_what_is_looked_at_before_the_first_episode_is_recorded_by_then() -> None:
+    assert LEAD_S > RECORDED_S + 1
