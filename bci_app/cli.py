@@ -1,6 +1,7 @@
 """The command `bci-app`. Each verb parses its words, calls one function and prints what came of it."""
 
 import signal
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -12,7 +13,8 @@ from bci_app import threads  # noqa: F401  isort: skip  -- before anything loads
 from bci_app import config as configuration
 from bci_app import policy_cli, process_cli
 from bci_app.errors import LinkLost, SetupError
-from bci_app.terminal import finish, print_json, progress_bar
+from bci_app.protocol import PROTOCOL_VERSION
+from bci_app.terminal import finish, print_json, progress_bar, show_settings
 
 INTERRUPTED = 130
 
@@ -32,15 +34,31 @@ class Verbs(TyperGroup):
             raise typer.Exit(INTERRUPTED) from interrupt
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"bci-app {version('errp-bci')}, protocol {PROTOCOL_VERSION}")
+        raise typer.Exit
+
+
 app = typer.Typer(
     name="bci-app",
     cls=Verbs,
-    help="Closed-loop ErrP BCI: calibrate a participant, run online sessions, replay recordings exactly.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+@app.callback()
+def bci_app(
+    _version: Annotated[
+        bool, typer.Option("--version", help="Print the version and end.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Closed-loop ErrP BCI: calibrate a participant, run online sessions, replay recordings exactly."""
+
+
 ConfigOption = Annotated[Path | None, typer.Option("--config", help="TOML file overriding defaults.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")]
 ParticipantOption = Annotated[str, typer.Option("--participant", help="Letters and digits, as in P001.")]
@@ -240,9 +258,16 @@ def rehearse_recording(
 
 
 @app.command("config", rich_help_panel="Afterwards")
-def show_config(config: ConfigOption = None) -> None:
+def show_config(
+    config: ConfigOption = None,
+    explain: Annotated[bool, typer.Option("--explain", help="A table of all settings with what they are.")] = False,
+) -> None:
     """Print the resolved configuration as JSON."""
-    typer.echo(configuration.load(config).model_dump_json(indent=2))
+    settings = configuration.load(config)
+    if explain:
+        show_settings(configuration.explained(settings))
+    else:
+        typer.echo(settings.model_dump_json(indent=2))
 
 
 def _overrides(

@@ -5,6 +5,7 @@ Sources: "paper" is Wang et al., J. Neural Eng. 19 066023 (2022); "decided" mark
 
 import json
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -20,20 +21,26 @@ Count = Annotated[int, Field(ge=1)]
 class Section(BaseModel):
     """A part of the configuration: immutable, and a misspelt key is an error."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
 
 class StimulusConfig(Section):
     """One step on the screen (paper V.A.1) and the window it is drawn in."""
 
     countdown_s: Seconds = 1.0
+    """Session seconds the countdown before a move takes (paper)."""
     arrow_s: Seconds = 1.0
+    """Session seconds the arrow of a move is shown (paper)."""
     rest_s: Seconds = 1.0
+    """Session seconds between a move and the next countdown, and to look at a new episode (paper)."""
     hold_s: Annotated[float, Field(gt=0)] = 5.0
     """Real seconds a missing action may hold the countdown before the session pauses (decided)."""
     window_px: Annotated[int, Field(ge=200)] = 880
+    """Side of the window, in pixels (decided)."""
     fullscreen: bool = False
+    """Fill the whole display instead."""
     display: Annotated[int, Field(ge=0)] = 0
+    """Number of the display the window opens on."""
     headless: bool = False
     """Draw with SDL's dummy driver: no screen needed."""
 
@@ -42,9 +49,13 @@ class CalibrationConfig(Section):
     """The calibration run (paper V.A.1)."""
 
     map: str = "open"
+    """The map it runs on: open, obstacles or a map file."""
     n_blocks: Count = 5
+    """Blocks, at most (paper)."""
     moves_per_block: Count = 120
+    """Moves of a block whose epochs are valid (paper)."""
     max_steps: Count = 60
+    """Moves after which an episode ends without the goal (paper)."""
     error_probability: Annotated[float, Field(gt=0, lt=1)] = 0.3
     """Probability that the calibrating agent moves away from the goal (decided; the paper doesn't say)."""
     break_s: Seconds = 10.0
@@ -66,7 +77,9 @@ class OnlineConfig(Section):
     """The online run (paper V.B.3): one pre-generated episode for each initial distance."""
 
     distances: tuple[int, int] = (2, 20)
+    """Shortest and longest initial distance to the goal, in moves (paper)."""
     max_steps: Count = 60
+    """Moves after which an episode ends without the goal (paper)."""
     episodes_seed: Annotated[int, Field(ge=0)] = 2022
     """Seed of the pre-generated episodes: the same episodes for every participant (decided)."""
     expected_moves: Count = 200
@@ -79,9 +92,11 @@ class EegConfig(Section):
     """Which EEG stream to use and what it must look like."""
 
     stream_type: str = "EEG"
+    """LSL type of the amplifier's stream."""
     stream_name: str | None = None
     """Name of the amplifier's stream; needed only where several EEG streams are on the network."""
     source_id: str | None = None
+    """Source id of the amplifier's stream, where its name isn't enough."""
     rate_tolerance: Annotated[float, Field(gt=0, lt=1)] = 0.01
     """Largest relative difference of the measured from the nominal rate (decided)."""
     max_uv: Annotated[float, Field(gt=0)] = 5_000_000.0
@@ -90,24 +105,41 @@ class EegConfig(Section):
     """A feature beyond this many microvolts, in the decoder's band and after repair, is an artefact: blinks and all,
     the real EEG we measured reaches 341 (decided)."""
     buffer_s: Annotated[float, Field(ge=10)] = 60.0
+    """Seconds of EEG the decoder keeps (decided: longer than anything it may have to wait for)."""
+
+
+LAST_WINDOW_MS = 1500
+"""A verdict must be there before the next move, 2 s after this one at the earliest (decided)."""
 
 
 class ChainConfig(Section):
     """The decoder's linear chain (paper V.A.3-4)."""
 
     sfreq: Annotated[float, Field(gt=0)] = 256.0
+    """Rate the EEG is brought to, Hz (paper)."""
     low_hz: Annotated[float, Field(ge=0.1)] = 1.0
+    """Lower edge of the band, Hz (paper)."""
     high_hz: Annotated[float, Field(gt=0)] = 50.0
+    """Upper edge of the band, Hz (paper)."""
     phase: Literal["minimum", "linear"] = "minimum"
     """FIR phase: minimum is ready at the end of the last window, linear waits for its delay (decided)."""
     start_ms: float = 150.0
+    """Where the first window begins, ms after the onset (paper)."""
     window_ms: Annotated[float, Field(gt=0)] = 30.0
+    """Length of a window, ms; its mean is a feature (paper)."""
     n_windows: Count = 15
+    """Windows one after the other (paper)."""
 
     @model_validator(mode="after")
     def _band(self) -> Self:
         if not self.low_hz < self.high_hz < self.sfreq / 2:
             raise ValueError("low_hz must be below high_hz, and high_hz below half of sfreq")
+        end_ms = self.start_ms + self.n_windows * self.window_ms
+        if not 0 <= self.start_ms < end_ms <= LAST_WINDOW_MS:
+            raise ValueError(
+                f"the {self.n_windows} windows must lie between a move and {LAST_WINDOW_MS} ms after it, for then the "
+                f"policy waits; found {self.start_ms:g} to {end_ms:g} ms"
+            )
         return self
 
 
@@ -132,6 +164,7 @@ class ClassifierConfig(Section):
     prior_error: Annotated[float, Field(gt=0, lt=1)] = 0.5
     """Class prior of `error`; set, not taken from the blocks' error rate (decided)."""
     n_folds: Annotated[int, Field(ge=2)] = 10
+    """Folds of the cross-validation (paper)."""
     min_per_class: Annotated[int, Field(ge=2)] = 20
     """Fewest epochs of each class a decoder may be fitted on (decided)."""
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
@@ -154,6 +187,7 @@ class SimulationConfig(Section):
     """The participant and amplifier without hardware."""
 
     sfreq: Annotated[float, Field(gt=0)] = 500.0
+    """Rate of the simulated amplifier, Hz (the paper's)."""
     decodability: Annotated[float, Field(ge=0.5, lt=1)] = 0.75
     """Balanced accuracy that the decoder reaches on this participant in cross-validation."""
     errp: bool = True
@@ -184,6 +218,7 @@ class Config(Section):
     """The whole configuration; `load` reads it, `bci-app config` prints it."""
 
     recordings: str = "recordings"
+    """Folder all recordings go to."""
     stimulus: StimulusConfig = StimulusConfig()
     calibration: CalibrationConfig = CalibrationConfig()
     online: OnlineConfig = OnlineConfig()
@@ -217,6 +252,18 @@ def validated(values: Any, where: str) -> Config:
         return Config.model_validate(values)
     except ValidationError as error:
         raise SetupError(f"Configuration from {where}: {_sentences(error)}") from error
+
+
+def explained(config: Config) -> Iterator[tuple[str, str, str]]:
+    """Each setting as (``section.key``, its value as in TOML or JSON, what it is)."""
+    for name, field in Config.model_fields.items():
+        value = getattr(config, name)
+        if not isinstance(value, Section):
+            yield name, json.dumps(value), field.description or ""
+            continue
+        values = value.model_dump(mode="json")
+        for key, inner in type(value).model_fields.items():
+            yield f"{name}.{key}", json.dumps(values[key]), " ".join((inner.description or "").split())
 
 
 def _read(path: Path) -> dict[str, Any]:

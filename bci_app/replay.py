@@ -39,15 +39,20 @@ class Compared:
             return False
         return _timeless(self.recorded) == _timeless(self.replayed)
 
+    @property
+    def taken_over(self) -> bool:
+        """Whether nothing was made anew: the file doesn't hold what it depended on, such as when a sample came."""
+        return self.recorded is self.replayed
+
 
 def replay(
     path: Path, model: Path | None, policy: Path | None, allow_damage: bool, progress: Progress
 ) -> dict[str, Any]:
     """Replay a recording and compare.
 
-    Returns ``replay``, of ``electrodes``, ``verdicts`` and ``actions`` how many there are and (``..._equal``) how many
-    are equal, ``seconds``, and ``differences``, the first few in words. Raises SetupError for an unusable recording, or
-    a model or policy that isn't the one of the run.
+    Returns ``replay``, of ``electrodes``, ``verdicts`` and ``actions`` how many there are, how many are equal
+    (``..._equal``) and how many of these were taken over (``..._taken_over``), ``seconds``, and ``differences``, the
+    first few in words. Raises SetupError for an unusable recording, or a model or policy that isn't the run's.
     """
     started = perf_counter()
     progress("reading the recording", 0, 3)
@@ -69,16 +74,17 @@ def replay(
     progress("done", 3, 3)
     differences = [_sentence(pair) for pair in chain(decisions, verdicts, actions) if not pair.equal]
     return {
-        "replay": {
-            "electrodes": len(decisions),
-            "electrodes_equal": sum(pair.equal for pair in decisions),
-            "verdicts": len(verdicts),
-            "verdicts_equal": sum(pair.equal for pair in verdicts),
-            "actions": len(actions),
-            "actions_equal": sum(pair.equal for pair in actions),
-        },
+        "replay": _counts("electrodes", decisions) | _counts("verdicts", verdicts) | _counts("actions", actions),
         "seconds": perf_counter() - started,
         "differences": differences[:10],
+    }
+
+
+def _counts(what: str, pairs: list[Compared]) -> dict[str, int]:
+    return {
+        what: len(pairs),
+        f"{what}_equal": sum(pair.equal for pair in pairs),
+        f"{what}_taken_over": sum(pair.taken_over for pair in pairs),
     }
 
 

@@ -1,14 +1,16 @@
 """How a verb shows progress and results: words for people, one JSON object for programs."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
+from rich.table import Table
 
 from bci_app.progress import Progress
 
@@ -65,6 +67,14 @@ def _short(value: Any) -> str:
 def print_json(result: dict[str, Any]) -> None:
     """Print one JSON object on stdout."""
     typer.echo(json.dumps(result, indent=2))
+
+
+def show_settings(settings: Iterable[tuple[str, str, str]]) -> None:
+    """A table of (name, value, what it is)."""
+    table = Table("setting", "value", "what it is")
+    for name, value, what in settings:
+        table.add_row(escape(name), escape(value), escape(what))
+    Console().print(table)
 
 
 @contextmanager

@@ -49,6 +49,9 @@ def estimator_weights(name: str, features: Array, error: NDArray[np.bool_]) -> t
 
 def make_estimator(name: str) -> Any:
     """A new estimator from "module:factory". Raises SetupError where there is none."""
+    # Only a researcher with an estimator of their own needs it, and it takes a second to import.
+    from sklearn.base import is_classifier
+
     module_name, _, attribute = name.partition(":")
     if not (module_name and attribute):
         raise SetupError(f"classifier.estimator should be module:factory, such as {_EXAMPLE}; found {name!r}.")
@@ -72,4 +75,10 @@ def make_estimator(name: str) -> Any:
         ) from error
     if not callable(getattr(estimator, "fit", None)) or isinstance(estimator, type):
         raise SetupError(f"{name}() gives a {type(estimator).__name__}, which has no fit: it is no estimator.")
+    if not is_classifier(estimator):
+        kind = type(estimator).__name__
+        raise SetupError(
+            f"{name}() gives a {kind}, which is no classifier: its coef_ would be no log odds. Give one, such as "
+            f"{_EXAMPLE}."
+        )
     return estimator

@@ -27,6 +27,9 @@ PATIENCE_S = 4.0
 policy waits no longer than 5 s for a verdict (decided)."""
 REJECTED_BEFORE_A_LOOK = 2
 """Verdicts rejected in a row after which the electrodes are looked at again within an episode (decided)."""
+ROUND_S = 0.25
+"""Real seconds a round counts as listening, at most: a process that was stopped, or starved, has heard nothing, but
+what came meanwhile is still to be pulled (decided: rounds take 5 ms)."""
 LOST_S = 10.0
 """Real seconds of silence after which the run can't go on (decided)."""
 SAME_CLOCK_S = 0.005
@@ -78,7 +81,8 @@ class _Server:
         self._judges: dict[MoveKey, Judge] = {}
         self._buffer: EpochBuffer[MoveKey] = EpochBuffer(judge.shape, n_channels, config.eeg.buffer_s)
         self._offsets: dict[MoveKey, float] = {}
-        self._last_sample = local_clock()
+        self._listened = local_clock()
+        self._quiet_s = 0.0  # listened to without a sample
         self._silent = False
         self._rate_times = np.empty(0)
         self._rate_is_off = False
@@ -96,8 +100,7 @@ class _Server:
             self._buffer.push(samples, times)
             stamps.append(times)
             alive |= len(samples) > 0 and bool((samples != samples[:1]).any())
-            self._last_sample = local_clock() if len(times) else self._last_sample
-            if local_clock() - self._last_sample > LOST_S:
+            if self._quiet(len(times)) > LOST_S:
                 raise SetupError(
                     f"Stream '{description.name}' is there but delivers no samples. Start the amplifier's acquisition."
                 )
@@ -188,19 +191,25 @@ class _Server:
             self._peer.note("warning", drift.sentence)
             self._watch = None
 
-    def _check_silence(self, n_new: int) -> None:
+    def _quiet(self, n_new: int) -> float:
+        """Real seconds listened to without a sample, after a round that brought `n_new`."""
         now = local_clock()
-        if n_new:
-            if self._silent:
-                self._peer.note("info", f"The EEG is back after {now - self._last_sample:.1f} s.")
-                self._eeg.check_unchanged()
-            self._last_sample, self._silent = local_clock(), False
-        elif not self._silent and now - self._last_sample > SILENCE_S:
+        self._quiet_s = 0.0 if n_new else self._quiet_s + min(now - self._listened, ROUND_S)
+        self._listened = now
+        return self._quiet_s
+
+    def _check_silence(self, n_new: int) -> None:
+        before, quiet = self._quiet_s, self._quiet(n_new)
+        if n_new and self._silent:
+            self._silent = False
+            self._peer.note("info", f"The EEG is back after {before:.1f} s.")
+            self._eeg.check_unchanged()
+        elif not self._silent and quiet > SILENCE_S:
             self._silent = True
             self._peer.note("error", f"No EEG sample for {SILENCE_S:g} s.")
-        if now - self._last_sample > PATIENCE_S:
+        if quiet > PATIENCE_S:
             self._buffer.abandon("the EEG stream is silent")
-        if now - self._last_sample > LOST_S:
+        if quiet > LOST_S:
             raise LinkLost(f"No EEG sample for {LOST_S:g} s. Look at the amplifier; what was recorded is kept.")
 
     def _check_rate(self, times: NDArray[np.float64]) -> None:

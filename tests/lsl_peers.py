@@ -1,8 +1,12 @@
 """Other people's programs, for tests: written against docs/protocol.md with pylsl and json, and nothing of ours."""
 
 import json
+import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,7 +29,10 @@ def until(condition: Callable[[], Any], seconds: float, what: str, between: Call
 
 
 class ForeignAmplifier:
-    """Three noises that named channels share, with a sample counter in the first: a lost or doubled sample shows."""
+    """Three noises that named channels share, with a sample counter in the first: a lost or doubled sample shows.
+
+    With `on_arrival` chunks come every 35 ms or more, stamped when they come, 10 us a sample apart.
+    """
 
     def __init__(
         self,
@@ -36,9 +43,10 @@ class ForeignAmplifier:
         delivered: float | None = None,
         spoil: Callable[[np.ndarray], None] = lambda samples: None,
         clock_s: float = 0.0,
+        on_arrival: bool = False,
     ) -> None:
         self.labels = LABELS if labels is None else labels
-        info = pylsl.StreamInfo(name, "EEG", len(self.labels), sfreq, "float32", f"{name}-1")
+        self._info = info = pylsl.StreamInfo(name, "EEG", len(self.labels), sfreq, "float32", f"{name}-1")
         channels = info.desc().append_child("channels")
         for label in self.labels:
             channel = channels.append_child("channel")
@@ -47,6 +55,8 @@ class ForeignAmplifier:
             if unit is not None:
                 channel.append_child_value("unit", unit)
         self._outlet: pylsl.StreamOutlet | None = pylsl.StreamOutlet(info)
+        self._in_a_microvolt = {"millivolts": 1e-3, "volts": 1e-6}.get(unit or "", 1.0)
+        self._on_arrival = on_arrival
         self._rng = np.random.default_rng(1)
         mixing = self._rng.normal(0, 1, (3, len(self.labels)))
         self._mixing = 10 * mixing / np.linalg.norm(mixing, axis=0)
@@ -65,19 +75,32 @@ class ForeignAmplifier:
         """Take the stream off the network, even where a failed test still holds this object."""
         self._outlet = None
 
+    def connect(self) -> None:
+        """Put it back, as its connector does that is started again."""
+        self._outlet = pylsl.StreamOutlet(self._info)
+
     def play(self) -> None:
-        """Send what is due by now, then let a hundredth of a second pass."""
-        assert self._outlet is not None
-        due = int((pylsl.local_clock() - self._started) * self._rate)
-        if due > self._sent:
+        """Send what is due by now, unless it is off the network; then let a hundredth of a second pass."""
+        now = pylsl.local_clock()
+        due = int((now - self._started) * self._rate)
+        at_least = 0.035 * self._rate if self._on_arrival else 1
+        if due - self._sent >= at_least:
             number = np.arange(self._sent, due)
             samples = self._rng.normal(0, 1, (len(number), len(self.labels)))
             samples = (samples + self._rng.normal(0, 1, (len(number), 3)) @ self._mixing).astype(np.float32)
             samples[:, 0] = number % 1000
             self._spoil(samples)
-            self._outlet.push_chunk(samples, (self._started + self._clock_s + number / self._rate).tolist())
+            even = self._started + self._clock_s + number / self._rate
+            stamps = now + (number - due) * 1e-5 if self._on_arrival else even
+            if self._outlet is not None:
+                self._outlet.push_chunk((samples * self._in_a_microvolt).astype(np.float32), stamps.tolist())
             self._sent = due
         time.sleep(0.01)
+
+    def play_for(self, seconds: float) -> None:
+        """Play as long as that."""
+        ends = pylsl.local_clock() + seconds
+        until(lambda: pylsl.local_clock() > ends, seconds + 10, "time to pass", self.play)
 
 
 class ForeignStimulus:
@@ -97,6 +120,23 @@ class ForeignStimulus:
     def say(self, kind: str, stamp: float | None = None, **fields: Any) -> None:
         message = {"protocol": 2, "session": self.session, "type": kind, **fields}
         self._out.push_sample([json.dumps(message)], pylsl.local_clock() if stamp is None else stamp)
+
+    def walk(self, n_moves: int, wait: Callable[[float], None], every_s: float = 1.0) -> list[float]:
+        """Begin a session of one episode and make moves; their onsets."""
+        self.say("SessionStart", task="online", participant="P", map="open", layout=["." * 11] * 11, n_episodes=1)
+        self.say("EpisodeStart", episode=0, position=[5, 0], sensed=[False] * 5, max_steps=60)
+        onsets = []
+        for step in range(1, n_moves + 1):
+            onsets.append(self.move(step))
+            wait(every_s)
+        return onsets
+
+    def move(self, step: int) -> float:
+        """One move to the right; its onset."""
+        onset = float(pylsl.local_clock())
+        where = {"position": [5, step], "sensed": [False] * 5}
+        self.say("MoveOnset", onset, episode=0, step=step, action="east", **where)
+        return onset
 
     def raw(self, text: str) -> None:
         self._out.push_sample([text], pylsl.local_clock())
@@ -124,3 +164,25 @@ class Listener:
 
     def is_ready(self) -> bool:
         return any(status["state"] in ("ready", "running") for status in self.of("Status"))
+
+
+@contextmanager
+def process(*words: object, host: tuple[str, ...] = ()) -> Iterator[subprocess.Popen[str]]:
+    """A bci-app process that is gone when the block ends."""
+    command = [*host, sys.executable, "-m", "bci_app", *map(str, words)]
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        yield running
+    finally:
+        running.kill()
+        running.communicate()
+
+
+def lab_config(folder: Path) -> Path:
+    path = folder / "lab.toml"
+    path.write_text(
+        f'recordings = "{(folder / "recordings").as_posix()}"\n[stimulus]\nheadless = true\n'
+        "[calibration]\nn_blocks = 1\nmoves_per_block = 40\n",
+        encoding="utf-8",
+    )
+    return path

@@ -62,6 +62,8 @@ def test_a_recordings_folder_that_cannot_be_made_is_named(cli: Cli, tmp_path: Pa
 def test_help_and_configuration_need_nothing(cli: Cli) -> None:
     assert "calibrate" in cli("--help").stdout
     assert '"n_blocks": 5' in cli("config").stdout
+    assert "calibration.n_blocks" in cli("config", "--explain").stdout
+    assert cli("--version").stdout.startswith("bci-app 0.")
 
 
 def test_the_stimulus_does_not_load_torch(cli: Cli) -> None:

@@ -33,6 +33,8 @@ def test_file_overrides_defaults_and_the_command_line_overrides_the_file(tmp_pat
         ("[stimulus]\ncoutdown_s = 1", "unknown key 'stimulus.coutdown_s'; known: countdown_s"),
         ("[stimulation]\n", "unknown key 'stimulation'; known: recordings"),
         ("[chain]\nsfreq = -1", "'chain.sfreq'"),
+        ("[chain]\nn_windows = 1000", "must lie between a move and 1500 ms after it"),
+        ("[chain]\nstart_ms = -100", "must lie between a move and 1500 ms after it"),
         ("[chain", "not valid TOML"),
     ],
 )
@@ -47,3 +49,10 @@ def test_a_mistake_is_one_clear_sentence(tmp_path: Path, text: str, says: str) -
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(SetupError, match=r"absent\.toml"):
         config.load(tmp_path / "absent.toml")
+
+
+def test_every_setting_says_what_it_is() -> None:
+    settings = {name: (value, what) for name, value, what in config.explained(config.load())}
+    assert settings["calibration.n_blocks"][0] == "5"
+    assert settings["eeg.stream_name"][0] == "null"
+    assert [name for name, (_, what) in settings.items() if len(what) < 10] == []

@@ -34,6 +34,7 @@ def test_it_is_started_once_all_streams_are_open_though_they_announce_themselves
     assert {stream["info"]["source_id"][0] for stream in streams} == {query["source_id"] for query in queries(outlets)}
 
 
+@pytest.mark.trouble("neurobooth-os #820: a required stream is not recorded and nobody is told")
 def test_a_stream_that_is_not_there_is_named(outlets: list[pylsl.StreamOutlet], tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "some.xdf", [*queries(outlets[:1]), {"source_id": "nobody"}])
     with pytest.raises(LinkLost, match=r"(?s)of 2 streams and stopped.*source_id='nobody'"):

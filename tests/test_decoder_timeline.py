@@ -69,6 +69,7 @@ def test_stamps_of_arrival_are_no_gap_and_a_lost_chunk_is(sfreq: float) -> None:
     assert sum(find_gap(times, sfreq) is None for times in lossy) == 0
 
 
+@pytest.mark.trouble("pyxdf #137: clocks that drift by 40 ms in half an hour")
 @settings(max_examples=300, deadline=None)
 @given(sfreq=st.floats(50, 4096), drift=st.floats(-1e-4, 1e-4), place=st.floats(0, 1), doubled=st.booleans())
 def test_one_sample_of_even_stamps_is_always_found(sfreq: float, drift: float, place: float, doubled: bool) -> None:

@@ -180,6 +180,7 @@ def test_a_decodable_participant_is_decoded(session: Session) -> None:
         assert counts.accuracy > 0.6  # 120 instead of 600 moves of calibration; chance is 0.5
 
 
+@pytest.mark.trouble("lsl_archived #93: a session cannot be replayed exactly")
 @pytest.mark.parametrize("name", ["calibration", "open", "obstacles"])
 def test_replay_is_exact(session: Session, cli: Cli, name: str) -> None:
     result = printed(cli("replay", session.recording(name), "--json"))
@@ -190,6 +191,7 @@ def test_replay_is_exact(session: Session, cli: Cli, name: str) -> None:
     assert counts["electrodes"] == counts["electrodes_equal"] == len(read(session.recording(name)).of(EpisodeStart))
 
 
+@pytest.mark.trouble("App-LabRecorder #107, neurobooth-os #812: recordings without an end")
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.97])
 def test_a_truncated_recording_is_refused_and_what_it_holds_can_still_be_used(
     session: Session, cli: Cli, tmp_path: Path, share: float

@@ -1,44 +1,22 @@
-"""Each process alone, against programs that know only docs/protocol.md; and sessions whose set-up is wrong."""
+"""Each process alone, against programs that know only docs/protocol.md; and whole runs that don't go smoothly."""
 
 import json
 import signal
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pylsl
 import pytest
-from lsl_peers import LABELS, ForeignAmplifier, ForeignStimulus, Listener, until
+from lsl_peers import ForeignAmplifier, ForeignStimulus, Listener, lab_config, process, until
 
-from bci_app.config import ChainConfig
 from bci_app.gridworld import load_map
 from bci_app.protocol import BlockEnd, Electrodes, EpisodeStart, SessionEnd
 from bci_app.recording import read
 from bci_app.runs import read_sidecar
-from decoder.chain import design
 from policy.checkpoint import choose_told
 
 TOLD = "0.7:0.8:0.2"  # hit, correct rejection, bits
-
-
-AWAY_S = 1000
-SECOND_HOST = (*f"unshare --time --monotonic {AWAY_S} --uts sh -c".split(), 'hostname second; exec "$@"', "sh")
-"""What comes after runs on this machine, but under another name and with a clock that is ahead (Linux, as root)."""
-
-
-@contextmanager
-def process(*words: object, host: tuple[str, ...] = ()) -> Iterator[subprocess.Popen[str]]:
-    """A bci-app process that is gone when the block ends."""
-    command = [*host, sys.executable, "-m", "bci_app", *map(str, words)]
-    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        yield running
-    finally:
-        running.kill()
-        running.communicate()
 
 
 def test_a_foreign_stimulus_works_with_our_decoder_and_policy_and_nobody_opens_the_truth(any_decoder: Path) -> None:
@@ -107,6 +85,7 @@ def test_four_processes_started_by_hand_run_a_session(tmp_path: Path) -> None:
             assert running.wait(20) == 0
 
 
+@pytest.mark.trouble("mne-realtime #41: strings are refused as markers")
 def test_mne_lsl_reads_eeg_and_markers_while_the_session_runs(tmp_path: Path) -> None:
     from mne_lsl.stream import StreamLSL
 
@@ -134,73 +113,6 @@ def test_mne_lsl_reads_eeg_and_markers_while_the_session_runs(tmp_path: Path) ->
         assert set(codes[codes > 0].tolist()) <= {1, 2, 3, 4, 20, 21, 22, 23, 24, 100, 110}
         eeg.disconnect()
         markers.disconnect()
-
-
-def lab_config(folder: Path) -> Path:
-    path = folder / "lab.toml"
-    path.write_text(
-        f'recordings = "{(folder / "recordings").as_posix()}"\n[stimulus]\nheadless = true\n'
-        "[calibration]\nn_blocks = 1\nmoves_per_block = 40\n",
-        encoding="utf-8",
-    )
-    return path
-
-
-def flatten(samples: np.ndarray) -> None:
-    samples[:] = 7.0
-
-
-@pytest.mark.parametrize(
-    ("make", "says"),
-    [
-        (list, "No EEG stream"),
-        (lambda: [ForeignAmplifier("AmpA"), ForeignAmplifier("AmpB")], "2 EEG streams fit"),
-        (lambda: [ForeignAmplifier(unit=None)], "gives no unit"),
-        (lambda: [ForeignAmplifier(labels=["Cz", "Cz"])], "not unique"),
-        (lambda: [ForeignAmplifier(delivered=200.0)], "says 250 Hz but delivers 200"),
-        (lambda: [ForeignAmplifier(spoil=flatten)], "flat line on all channels"),
-        (lambda: [ForeignAmplifier(clock_s=1e5)], "from LSL's clock"),
-    ],
-)
-def test_a_wrong_amplifier_is_refused_before_anything_starts(
-    tmp_path: Path, make: Callable[[], list[ForeignAmplifier]], says: str
-) -> None:
-    words = ("calibrate", "--participant", "P1", "--config", lab_config(tmp_path), "--headless")
-    with ExitStack() as stack, process(*words) as running:
-        amplifiers = [stack.enter_context(closing(amplifier)) for amplifier in make()]
-        until(
-            lambda: running.poll() is not None, 60, "the refusal", lambda: [amp.play() for amp in amplifiers] and None
-        )
-        assert running.returncode == 2
-        _, said = running.communicate()
-        assert says in said
-        assert "Traceback" not in said
-
-
-def test_a_second_hosts_clock_a_thousand_seconds_away_moves_no_epoch(tmp_path: Path) -> None:
-    try:
-        subprocess.run([*SECOND_HOST, "true"], check=True, capture_output=True)
-    except (OSError, subprocess.CalledProcessError) as error:
-        pytest.skip(f"a second clock needs Linux's time namespaces and the right to make one: {error}")
-    config = lab_config(tmp_path)
-    config.write_text(config.read_text(encoding="utf-8").replace("= 40", "= 3"), encoding="utf-8")
-    words = ("--session", "apart", "--config", config)
-    with (
-        closing(ForeignAmplifier()) as amplifier,
-        process("decoder", *words),
-        process("stimulus", *words, "--participant", "P", "--task", "calibration", host=SECOND_HOST) as stimulus,
-    ):
-        verdicts, moves = (Listener(f"bci-{name}", "apart") for name in ("verdicts", "stimulus"))
-        until(lambda: len(verdicts.of("Verdict")) == 3, 60, "three verdicts", amplifier.play)
-        until(lambda: moves.of("SessionEnd"), 30, "the session's end", amplifier.play)
-        until(lambda: stimulus.poll() is not None, 30, "the stimulus to end", amplifier.play)
-    onsets = [stamp for stamp, message in moves.heard if message["type"] == "MoveOnset"]
-    n_before = design(ChainConfig(), 250.0).n_before
-    for onset, verdict in zip(onsets, verdicts.of("Verdict"), strict=True):
-        assert verdict["outcome"] == "unjudged"
-        assert verdict["clock_offset"] == pytest.approx(-AWAY_S, abs=2e-3)  # LSL measures it to 0.2 ms
-        here = onset + verdict["clock_offset"]
-        assert verdict["first_time"] + n_before / 250 == pytest.approx(here, abs=0.5 / 250 + 1e-9)
 
 
 class Clenching:
@@ -253,68 +165,6 @@ def test_a_bad_channel_is_repaired_a_rejected_move_repeated_and_both_replayed(tm
         counts = json.loads(replaying.communicate(timeout=60)[0])["replay"]
     assert counts["electrodes"] == counts["electrodes_equal"] == len(decisions)
     assert counts["verdicts"] == counts["verdicts_equal"] == told["moves"]
-
-
-def named(folder: Path, stream: str) -> Path:
-    """A configuration that takes one stream of several on the network."""
-    path = folder / f"{stream}.toml"
-    path.write_text(f'[eeg]\nstream_name = "{stream}"\n', encoding="utf-8")
-    return path
-
-
-def test_missing_channels_are_refused_and_reordered_ones_mended(tmp_path: Path, any_decoder: Path) -> None:
-    all_but_one = [label for label in LABELS if label != "FCz"]
-    otherwise = [label.upper() for label in reversed(LABELS)]
-    words = ("doctor", "--model", any_decoder, "--json", "--config")
-    with (
-        closing(ForeignAmplifier("AmpC", labels=all_but_one)) as missing,
-        closing(ForeignAmplifier("AmpD", labels=otherwise)) as shuffled,
-        process(*words, named(tmp_path, "AmpC")) as refusing,
-        process(*words, named(tmp_path, "AmpD")) as mending,
-    ):
-
-        def play() -> None:
-            missing.play()
-            shuffled.play()
-
-        until(lambda: refusing.poll() is not None and mending.poll() is not None, 40, "both doctors", play)
-        assert refusing.returncode == 2
-        assert "missing: FCz" in refusing.communicate()[0]
-        said = mending.communicate()
-        assert mending.returncode == 0, said
-        assert json.loads(said[0])["fit"]
-
-
-def test_an_amplifier_that_fails_in_the_middle_ends_the_decoder(tmp_path: Path) -> None:
-    """One drifts, one dies, and each decoder says which."""
-    faults = {"drifts": (2, "drifted from 250 Hz"), "dies": (3, "No EEG sample")}
-    with ExitStack() as stack:
-        amplifiers = {fault: stack.enter_context(closing(ForeignAmplifier(f"Amp{fault}"))) for fault in faults}
-        stimuli = {fault: ForeignStimulus(fault) for fault in faults}
-        decoders = {
-            fault: stack.enter_context(
-                process("decoder", "--session", fault, "--config", named(tmp_path, f"Amp{fault}"))
-            )
-            for fault in faults
-        }
-        verdicts = {fault: stimuli[fault].listen("bci-verdicts") for fault in faults}
-
-        def play() -> None:
-            for amplifier in amplifiers.values():
-                amplifier.play()
-
-        until(lambda: all([heard.is_ready() for heard in verdicts.values()]), 40, "the decoders", play)
-        amplifiers["drifts"].change_rate(240.0)
-        until(
-            lambda: all([decoder.poll() is not None for decoder in decoders.values()]),
-            60,
-            "the decoders to end",
-            amplifiers["drifts"].play,
-        )
-        for fault, (code, says) in faults.items():
-            assert decoders[fault].returncode == code
-            assert says in decoders[fault].communicate()[1]
-            assert any(note["level"] == "error" for note in verdicts[fault].of("Note"))
 
 
 @pytest.mark.parametrize("moment", ["while starting", "while running"])
