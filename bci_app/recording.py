@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from bci_app.eeg import EegDescription
 from bci_app.errors import SetupError
 from bci_app.protocol import STREAMS, BadMessage, Message, decode
+from bci_app.runs import changed_since
+from bci_app.xdf import MAGIC, salvage
 
 log = logging.getLogger(__name__)
 
-XDF_MAGIC = b"XDF:"
 M = TypeVar("M", bound=Message)
 
 
@@ -57,10 +58,10 @@ def read(path: Path, allow_damage: bool = False, eeg_type: str = "EEG") -> Recor
     """Read a recording of ours; `eeg_type` is the LSL type of its EEG stream.
 
     Raises SetupError when it is no XDF, empty, holds no EEG or no messages of ours, or (unless `allow_damage`) is
-    truncated. Reading never changes the file.
+    truncated or damaged. Reading never changes the file.
     """
-    streams = _load(path)
-    damage = _damage(streams)
+    streams, damage = _load(path)
+    damage += _missing(streams)
     stream = _eeg_stream(streams, path, eeg_type)
     messages = _messages(streams)
     if not messages:
@@ -74,24 +75,29 @@ def read(path: Path, allow_damage: bool = False, eeg_type: str = "EEG") -> Recor
     return Recording(path, describe(stream["info"]), samples, times, messages, tuple(damage))
 
 
-def _load(path: Path) -> list[dict[str, Any]]:
+def _load(path: Path) -> tuple[list[dict[str, Any]], list[str]]:
+    """All streams, as far as they are whole, and what isn't, in sentences."""
     try:
-        with path.open("rb") as file:
-            magic = file.read(len(XDF_MAGIC))
+        data = path.read_bytes()
+        rotten = changed_since(path)
     except OSError as error:
         raise SetupError(f"Can't read the recording {path}: {error.strerror}.") from error
-    if not magic:
+    if not data:
         raise SetupError(f"{path} is empty; expected an XDF recording.")
-    if magic != XDF_MAGIC:
-        raise SetupError(f"{path} is not an XDF recording: it starts with {magic!r}, expected {XDF_MAGIC!r}.")
+    if not data.startswith(MAGIC):
+        raise SetupError(f"{path} is not an XDF recording: it starts with {data[:4]!r}, expected {MAGIC!r}.")
+    salvaged = salvage(data, rotten)
     try:
-        streams, _ = pyxdf.load_xdf(path, synchronize_clocks=False, dejitter_timestamps=False)
+        streams, _ = pyxdf.load_xdf(salvaged.file, synchronize_clocks=False, dejitter_timestamps=False)
     except Exception as error:  # pyxdf raises whatever its parser met; the reason is in the message
         raise SetupError(f"{path} can't be read as XDF ({type(error).__name__}: {error}).") from error
-    return list(streams)
+    places = ", ".join(f"{gone.start} to {gone.stop}" for gone in salvaged.damage[:5])
+    more = f" and at {len(salvaged.damage) - 5} more places" if len(salvaged.damage) > 5 else ""
+    damage = [f"Bytes {places}{more} of {len(data)} are damaged and left out."] if salvaged.damage else []
+    return list(streams), damage
 
 
-def _damage(streams: list[dict[str, Any]]) -> list[str]:
+def _missing(streams: list[dict[str, Any]]) -> list[str]:
     """LabRecorder writes a footer with the sample count for each stream when it closes a file in order."""
     found = []
     for stream in streams:

@@ -9,10 +9,13 @@ from hashlib import file_digest
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 from bci_app.errors import SetupError
 
 LABEL = re.compile(r"[A-Za-z0-9]+\Z")
+SUM_BYTES = 1 << 16
+"""Bytes of a recording that have a checksum of their own: half a second of 64 channels at 500 Hz (decided)."""
 PACKAGES = (
     "errp-bci",
     "numpy",
@@ -150,6 +153,46 @@ def check_untouched(recording: Path, sidecar: dict[str, Any]) -> None:
             f"{recording} is not the file that was recorded: its SHA-256 differs from its sidecar's. Restore a copy; "
             "XDF itself wouldn't show a damaged sample."
         )
+
+
+def write_sums(recording: Path) -> None:
+    """Write down a CRC-32 of each `SUM_BYTES` of a closed recording, so that later damage can be told to its place."""
+    path, data = sums_of(recording), recording.read_bytes()
+    lines = [f"crc32 of each {SUM_BYTES} bytes of {recording.name}", *_sums(data)]
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write("\n".join(lines) + "\n")
+    except OSError as error:
+        raise SetupError(f"Can't write {path}: {error.strerror}. Is the disk full, or locked?") from error
+
+
+def changed_since(recording: Path) -> tuple[tuple[int, int], ...]:
+    """Bytes, as (start, stop), at which a recording isn't what it was when it was closed; none where that isn't known.
+
+    Raises SetupError when what was written down then can't be read.
+    """
+    path = sums_of(recording)
+    if not path.exists():
+        return ()
+    try:
+        expected = path.read_text(encoding="utf-8").splitlines()[1:]
+    except (OSError, UnicodeDecodeError) as error:
+        raise SetupError(f"Can't read the checksums {path}: {error}. Restore or remove the file.") from error
+    found = _sums(recording.read_bytes())
+    return tuple(
+        (number * SUM_BYTES, (number + 1) * SUM_BYTES)
+        for number, (before, now) in enumerate(zip(expected, found, strict=False))
+        if before != now
+    )
+
+
+def sums_of(recording: Path) -> Path:
+    """Path of the checksums beside a recording."""
+    return recording.with_suffix(".crc32")
+
+
+def _sums(data: bytes) -> list[str]:
+    return [f"{crc32(data[start : start + SUM_BYTES]):08x}" for start in range(0, len(data), SUM_BYTES)]
 
 
 def checksum(path: Path) -> str:

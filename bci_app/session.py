@@ -37,7 +37,7 @@ from bci_app.protocol import (
 )
 from bci_app.recorder import Recorder
 from bci_app.recording import read
-from bci_app.runs import Run, checksum, versions, write_sidecar
+from bci_app.runs import Run, checksum, versions, write_sidecar, write_sums
 
 READY_TIMEOUT_S = 90.0
 """Real seconds all processes may take to be ready (the slowest loads torch)."""
@@ -353,6 +353,7 @@ class _Conductor:
             self.missing = self.heard.missing_in(read(path, True, self.config.eeg.stream_type))
         except SetupError as error:
             self.missing = [str(error)]
+        write_sums(path)
         return told | {"sha256": checksum(path), "bytes": path.stat().st_size, "missing": self.missing}
 
     def outcome(self) -> Outcome:
