@@ -104,6 +104,8 @@ class EegConfig(Section):
     max_band_uv: Annotated[float, Field(gt=0)] = 500.0
     """A feature beyond this many microvolts, in the decoder's band and after repair, is an artefact: blinks and all,
     the real EEG we measured reaches 341 (decided)."""
+    patience_s: Annotated[float, Field(ge=1)] = 600.0
+    """Real seconds a session waits, paused, for an amplifier that is gone; then it ends (decided)."""
     buffer_s: Annotated[float, Field(ge=10)] = 60.0
     """Seconds of EEG the decoder keeps (decided: longer than anything it may have to wait for)."""
 

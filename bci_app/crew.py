@@ -25,8 +25,8 @@ class Crew:
         self._files: list[IO[bytes]] = []
 
     def start(self, role: Role, arguments: list[str]) -> None:
-        """Start a process; what it logs goes to its own file."""
-        file = (self._logs / f"{role}.log").open("wb")
+        """Start a process, also one that ran before; what it logs goes to its own file."""
+        file = (self._logs / f"{role}.log").open("ab")
         self._files.append(file)
         self._processes[role] = subprocess.Popen(
             [sys.executable, "-m", "bci_app", role, *arguments],
@@ -36,12 +36,26 @@ class Crew:
             start_new_session=True,
         )
 
-    def check(self) -> None:
-        """Raise when a process has ended on its own: SetupError for the user's mistake, LinkLost otherwise."""
+    def check(self, may_be_mended: bool = False) -> dict[Role, str]:
+        """Processes that have ended on their own, and how, where that `may_be_mended` by starting them again.
+
+        Raises SetupError for the user's mistake, LinkLost for what can't be mended.
+        """
+        found: dict[Role, str] = {}
         for role, process in self._processes.items():
             code = process.poll()
-            if code not in (None, 0):
-                raise self._failure(role, int(code))
+            if code in (None, 0):
+                continue
+            failure = self._failure(role, int(code))
+            if code in (SetupError.exit_code, LinkLost.exit_code) or not may_be_mended:
+                raise failure
+            found[role] = str(failure)
+        return found
+
+    def kill(self, role: Role) -> None:
+        """End a process that doesn't listen."""
+        self._processes[role].kill()
+        self._processes[role].wait()
 
     def _failure(self, role: Role, code: int) -> Exception:
         path = self._logs / f"{role}.log"

@@ -14,6 +14,8 @@ from bci_app.protocol import (
     EpisodeEnd,
     MoveOnset,
     Note,
+    Pause,
+    Resume,
     Role,
     SessionEnd,
     SessionStart,
@@ -68,6 +70,8 @@ class Heard:
         self.last_reason: str | None = None
         self.blocks = 0
         """Blocks that are over."""
+        self.is_paused = False
+        """Whether the stimulus waits, for a person or for a process."""
         self.bad: tuple[str, ...] = ()
         """Channels that are repaired at present."""
         self.ending: tuple[Literal["interrupted", "failed"], str] | None = None
@@ -85,6 +89,10 @@ class Heard:
                 self.start = message
             case SessionEnd():
                 self.end = message
+            case Pause():
+                self.is_paused = True
+            case Resume():
+                self.is_paused = False
             case MoveOnset():
                 self.moves += 1
             case BlockEnd():
@@ -103,6 +111,10 @@ class Heard:
     def all_ready(self) -> bool:
         """Whether every process says that it is connected to those it needs."""
         return all(role in self._states and self._states[role].state == "ready" for role in self._roles)
+
+    def forget(self, role: Role) -> None:
+        """A process is started again: what it said of itself doesn't hold any more."""
+        self._states.pop(role, None)
 
     def all_judged(self) -> bool:
         """Whether every move has its verdict."""

@@ -109,6 +109,7 @@ class MessageInlet:
         self._inlet = pylsl.StreamInlet(info, recover=True)
         self._spec = spec
         self._session = session
+        self.name = spec.name
         self.hostname: str = info.hostname()
         self.refused: list[str] = []
         """Sentences about samples that were no message of this session; the owner takes and reports them."""

@@ -1,6 +1,7 @@
 """A process of the loop as the others see it: its own message stream, its heartbeat, and when it must stop."""
 
 import logging
+import math
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -9,11 +10,11 @@ from typing import Literal
 from bci_app.clock import Clock
 from bci_app.errors import LinkLost
 from bci_app.lsl import MessageInlet, MessageOutlet, Received, local_clock
-from bci_app.protocol import Message, Note, Role, Status, StreamSpec
+from bci_app.protocol import SESSION, Message, Note, Recall, Returned, Role, Status, StreamSpec
 
 log = logging.getLogger(__name__)
 
-HEARTBEAT_S = 1.0
+HEARTBEAT_S = 0.5
 """Real seconds between two `Status` messages of an unchanged state."""
 POLL_S = 0.01
 """Real seconds between two rounds while lingering."""
@@ -41,13 +42,14 @@ class Peer:
         self._outlet = MessageOutlet(spec, session)
         self._said: tuple[State, str] | None = None
         self._said_at = 0.0
+        self._hears: dict[str, float] = {}
 
     def push(self, message: Message, stamp: float | None = None) -> None:
         """Publish a message; its stamp is now unless given (session seconds)."""
         self._outlet.push(message, self.clock.now() if stamp is None else stamp)
 
     def say(self, state: State, text: str = "") -> None:
-        """Tell the others how this process is doing; repeated once a second."""
+        """Tell the others how this process is doing and whom it hears; repeated every `HEARTBEAT_S`."""
         # On Windows a virtual environment's python.exe is itself a parent in between, so this can't be told there.
         if self._parent is not None and os.name == "posix" and os.getppid() != self._parent:
             raise LinkLost("The program that started this process is gone; nothing is left to do here.")
@@ -56,7 +58,8 @@ class Peer:
             if self._said is None or state != self._said[0]:
                 log.info("%s: %s", state, text)
             self._said, self._said_at = (state, text), now
-            self.push(Status(session=self.session, role=self._role, state=state, text=text))
+            hears = self._hears.copy()
+            self.push(Status(session=self.session, role=self._role, state=state, text=text, hears=hears))
 
     def note(self, level: Literal["info", "warning", "error"], text: str) -> None:
         """Tell a reader of the recording, and the log, that something happened."""
@@ -71,9 +74,25 @@ class Peer:
             if inlet is not None:
                 return inlet
 
+    def remember(self) -> Recall:
+        """What was said before this process was started again, from bci-app. It must hear all others by now."""
+        session = self.wait_for(SESSION)
+        asked_at = -math.inf
+        while True:
+            self.say("waiting", "for what was said so far")
+            if local_clock() - asked_at >= HEARTBEAT_S:
+                asked_at = local_clock()
+                self.push(Returned(session=self.session, role=self._role))
+            for item in self.hear(session, timeout=POLL_S):
+                match item.message:
+                    case Recall(role=self._role) as recall:
+                        return recall
+
     def hear(self, inlet: MessageInlet, timeout: float = 0.0) -> Sequence[Received]:
         """Pull messages; samples that are none of this session's are refused in a note, never mixed in."""
         received = inlet.pull(timeout)
+        if received:
+            self._hears[inlet.name] = max(item.stamp for item in received)
         for sentence in inlet.refused:
             self.note("error", f"Refused a sample on {sentence}")
         inlet.refused.clear()

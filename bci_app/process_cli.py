@@ -20,6 +20,9 @@ SpeedOption = Annotated[
 ]
 OriginOption = Annotated[float | None, typer.Option("--origin", help="LSL time at which the session clock started.")]
 ParentOption = Annotated[int | None, typer.Option("--parent", hidden=True)]
+ReturningOption = Annotated[
+    bool, typer.Option("--returning", help="The session runs already, and this process takes the place of a dead one.")
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -45,6 +48,7 @@ def stimulus(
     speed: SpeedOption = 1.0,
     origin: OriginOption = None,
     parent: ParentOption = None,
+    returning: ReturningOption = False,
 ) -> None:
     """Show the grid and the agent; begin by the space key."""
     from stimulus import process
@@ -56,7 +60,7 @@ def stimulus(
     make = Paradigm.calibration if task == "calibration" else Paradigm.online
     world = load_map(map_name or settings.calibration.map)
     paradigm = make(settings, world, session, participant, seed)
-    process.run(settings, session_clock(speed, origin), paradigm, commanded, parent)
+    process.run(settings, session_clock(speed, origin), paradigm, commanded, parent, returning)
 
 
 def decoder(
@@ -68,11 +72,12 @@ def decoder(
     speed: SpeedOption = 1.0,
     origin: OriginOption = None,
     parent: ParentOption = None,
+    returning: ReturningOption = False,
 ) -> None:
     """Turn EEG and move onsets into verdicts."""
     from decoder import process
 
-    process.run(_prepare(config), session, session_clock(speed, origin), model, parent)
+    process.run(_prepare(config), session, session_clock(speed, origin), model, parent, returning)
 
 
 def policy(
@@ -86,6 +91,7 @@ def policy(
     speed: SpeedOption = 1.0,
     origin: OriginOption = None,
     parent: ParentOption = None,
+    returning: ReturningOption = False,
 ) -> None:
     """Choose the agent's moves from verdicts and what the agent senses."""
     from policy import checkpoint, process
@@ -98,7 +104,8 @@ def policy(
     network, card = checkpoint.load(policy_file)
     checkpoint.check_fits(card, world)
     ear = Ear(Verdicts.parse(card.verdicts), Told.parse(told) if told else None)
-    process.run(settings.policy, session, session_clock(speed, origin), Agent(network, ear, world), world, parent)
+    agent = Agent(network, ear, world)
+    process.run(settings.policy, session, session_clock(speed, origin), agent, world, parent, returning)
 
 
 def amplifier(

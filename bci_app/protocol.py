@@ -9,9 +9,9 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-PROTOCOL_VERSION: Literal[3] = 3
-"""What we send. Older ones are still read, for calibrations are kept in them: 2 is the same without `Electrodes`, 1
-also without `Verdict.evidence`."""
+PROTOCOL_VERSION: Literal[4] = 4
+"""What we send. Older ones are still read, for calibrations are kept in them: 3 is the same without `Returned`,
+`Recall`, `Continued` and `Status.hears`, 2 also without `Electrodes`, 1 also without `Verdict.evidence`."""
 
 Position = tuple[int, int]
 """(row, column), both from 0, row 0 in the north."""
@@ -28,7 +28,7 @@ class Message(BaseModel):
     """What all messages carry. Immutable; unknown fields are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    protocol: Literal[1, 2, 3] = PROTOCOL_VERSION
+    protocol: Literal[1, 2, 3, 4] = PROTOCOL_VERSION
     session: str
 
 
@@ -96,12 +96,24 @@ class Pause(Message):
 
     type: Literal["Pause"] = "Pause"
     reason: str
+    by_person: bool = False
+    """Whether only a person's key ends it."""
 
 
 class Resume(Message):
     """The stimulus goes on after a pause."""
 
     type: Literal["Resume"] = "Resume"
+
+
+class Continued(Message):
+    """The stimulus was started again and goes on after this step: whatever was announced of later ones is void."""
+
+    type: Literal["Continued"] = "Continued"
+    episode: Annotated[int, Field(ge=-1)]
+    """-1 before the first."""
+    step: Index
+    """Moves of the episode that count; 0 before its first."""
 
 
 class SessionEnd(Message):
@@ -207,6 +219,8 @@ class Status(Message):
     role: Role
     state: Literal["waiting", "ready", "running", "done", "failed"]
     text: str = ""
+    hears: dict[str, float] = {}
+    """Stamp of the newest message heard on each stream it listens to, by the stream's name."""
 
 
 class Note(Message):
@@ -219,10 +233,55 @@ class Note(Message):
 
 
 class Command(Message):
-    """From bci-app to the stimulus: begin, stop as soon as possible, or finish: complete after the block under way."""
+    """From bci-app to the stimulus: begin, pause and go on again because of the other processes, stop as soon as
+    possible, or finish: complete after the block under way."""
 
     type: Literal["Command"] = "Command"
-    command: Literal["start", "stop", "finish"]
+    command: Literal["start", "pause", "resume", "stop", "finish"]
+    text: str = ""
+    """Why."""
+
+
+class Returned(Message):
+    """A process that was started again, and hears the others by now, asks what it missed. Repeated until the answer,
+    `Recall`, comes."""
+
+    type: Literal["Returned"] = "Returned"
+    role: Role
+
+
+Tellable = (
+    SessionStart
+    | BlockStart
+    | BlockEnd
+    | EpisodeStart
+    | MoveOnset
+    | EpisodeEnd
+    | Pause
+    | Resume
+    | SessionEnd
+    | Electrodes
+    | Verdict
+    | Action
+    | Command
+)
+"""What a process that was started again may have to know."""
+
+
+class Said(BaseModel):
+    """Something that was said before, and its stamp."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    stamp: float
+    message: Annotated[Tellable, Field(discriminator="type")]
+
+
+class Recall(Message):
+    """The answer to `Returned`: what a process must know of what was said until then, in the order of the stamps."""
+
+    type: Literal["Recall"] = "Recall"
+    role: Role
+    said: tuple[Said, ...]
 
 
 AnyMessage = (
@@ -234,6 +293,7 @@ AnyMessage = (
     | EpisodeEnd
     | Pause
     | Resume
+    | Continued
     | SessionEnd
     | RunSeed
     | EpisodeGoal
@@ -244,6 +304,8 @@ AnyMessage = (
     | Status
     | Note
     | Command
+    | Returned
+    | Recall
 )
 _adapter: TypeAdapter[AnyMessage] = TypeAdapter(Annotated[AnyMessage, Field(discriminator="type")])
 
@@ -307,6 +369,7 @@ PLAIN_CODES = {
     "EpisodeStart": 20,
     "Pause": 30,
     "Resume": 31,
+    "Continued": 32,
     "SessionStart": 100,
     "SessionEnd": 101,
     "BlockStart": 110,

@@ -13,6 +13,7 @@ from bci_app.eeg import EegDescription
 from bci_app.errors import SetupError
 from bci_app.protocol import STREAMS, BadMessage, Message, decode
 from bci_app.runs import changed_since
+from bci_app.said import without_void
 from bci_app.xdf import MAGIC, salvage
 
 log = logging.getLogger(__name__)
@@ -38,7 +39,7 @@ class Recording:
     eeg : header of the EEG stream.
     samples : (n_times, n_channels), as on the wire; ``eeg.in_microvolts`` gives the EEG.
     times : float64, (n_times,), raw stamps in seconds.
-    messages : of all our streams, ordered by stamp.
+    messages : of all our streams, ordered by stamp; without what a stimulus that died announced and nobody remembers.
     damage : sentences about what is missing or unreadable; empty for a whole file.
     """
 
@@ -156,4 +157,4 @@ def _messages(streams: list[dict[str, Any]]) -> tuple[Stamped, ...]:
                 found.append(Stamped(float(stamp), decode(sample[0])))
             except BadMessage as error:
                 log.warning("A sample of stream %s at %.3f is no message: %s", stream["info"]["name"][0], stamp, error)
-    return tuple(sorted(found, key=lambda item: item.stamp))
+    return tuple(without_void(sorted(found, key=lambda item: item.stamp), lambda item: item.message))

@@ -144,7 +144,7 @@ def _actions(
     from policy import checkpoint
     from policy.agent import Agent
     from policy.ear import Ear
-    from policy.navigator import Navigator
+    from policy.navigator import Navigator, is_without
     from policy.verdicts import Verdicts
 
     path = _file_of_run(recording.path, sidecar, "policy", policy)
@@ -165,14 +165,9 @@ def _actions(
                 action = navigator.begin(start)
             case MoveOnset() as onset:
                 key, following = (onset.episode, onset.step), (onset.episode, onset.step + 1)
-                action = navigator.moved(onset)
                 verdict = replayed.get(key)
-                # When a verdict came is not in the samples: where the policy said that it went on without, so it does.
-                went_on = following in recorded and recorded[following].verdict == "missing"
-                if went_on:
-                    action = navigator.missing()
-                elif isinstance(verdict, Verdict):
-                    action = navigator.judged(verdict)
+                judged = verdict if isinstance(verdict, Verdict) else None
+                action = navigator.again(onset, judged, is_without(recorded.get(following)))
                 if key in unfinished and following not in recorded:
                     continue
             case _:

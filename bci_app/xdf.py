@@ -248,6 +248,11 @@ class Follower:
         """Chunks of samples so far, by the source id of their stream."""
         self._source_ids: dict[int, str] = {}
 
+    @property
+    def n_bytes(self) -> int:
+        """Bytes of the file that are complete chunks."""
+        return self._at
+
     def look(self) -> None:
         """Take in the chunks that are complete by now."""
         try:

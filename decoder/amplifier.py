@@ -52,7 +52,8 @@ class _Player:
     def __init__(self, config: Config, peer: Peer) -> None:
         self._config = config.simulation
         self._peer = peer
-        self._t0 = peer.clock.now()
+        # One that takes another's place plays the same EEG on.
+        self._t0 = peer.clock.origin
         self._participant = make_participant(config.simulation, self._t0)
         names = tuple(self._participant.names)
         self._dead, missing = match_channels(config.simulation.dead, names)
@@ -77,7 +78,7 @@ class _Player:
         self._truth: MessageInlet | None = None
         self._stimulus: MessageInlet | None = None
         self._rounds = 0
-        self._played = 0
+        self._played = self._n_acquired()
         self.ended = False
 
     @property
@@ -107,11 +108,14 @@ class _Player:
         for item in self._peer.hear(self._stimulus) if self._stimulus else ():
             self.ended |= isinstance(item.message, SessionEnd)
 
+    def _n_acquired(self) -> int:
+        """Samples acquired up to now less the amplifier's own delay."""
+        clock = self._peer.clock
+        return max(0, int((clock.now() - self._config.delay_s * clock.speed - self._t0) * self._participant.sfreq))
+
     def play(self) -> None:
         """Send what was acquired up to now less the amplifier's own delay."""
-        clock = self._peer.clock
-        acquired = clock.now() - self._config.delay_s * clock.speed - self._t0
-        n_new = int(acquired * self._participant.sfreq) - self._played
+        n_new = self._n_acquired() - self._played
         if n_new <= 0:
             return
         samples = self._participant.render(self._played, n_new)

@@ -5,7 +5,7 @@ same to the bit however the samples were chunked, whenever the marker came, and 
 are looked at, for gaps; what is in the samples is the affair of `decoder.judge`.
 """
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Generic, TypeVar
@@ -100,7 +100,7 @@ def locate(segments: Sequence[Segment], onset: float, shape: Shape) -> Epoch | R
         if segment.first_time < onset <= segment.latest[-1]:
             return _cut(segment, onset, shape)
     if segments and onset <= segments[-1].first_time:
-        return Rejection(f"the EEG begins {segments[-1].first_time - onset:.3f} s after the onset")
+        return Rejection(f"the EEG begins {segments[-1].first_time - onset:.3f} s after the onset", by_time=True)
     return None
 
 
@@ -160,7 +160,7 @@ def _outside(segment: Segment, stretch: slice, onset: float) -> Rejection | None
     if missing and segment.trimmed:
         return Rejection(f"the onset came too late: {missing} of its samples are no longer buffered", by_time=True)
     if missing:
-        return Rejection(f"the EEG begins only {onset - segment.first_time:.3f} s before the onset")
+        return Rejection(f"the EEG begins only {onset - segment.first_time:.3f} s before the onset", by_time=True)
     if stretch.stop > len(segment.times) and segment.closed:
         return Rejection(f"the EEG ends or its time runs backwards {segment.latest[-1] - onset:.3f} s after the onset")
     return None
@@ -219,6 +219,16 @@ class EpochBuffer(Generic[Key]):
         self._waiting[key] = onset
         self._settle()
         return True
+
+    def know(self, key: Key) -> None:
+        """A move that needs no epoch any more: `expect` will ignore it."""
+        self._known.add(key)
+
+    def forget(self, void: Callable[[Key], bool]) -> None:
+        """Moves that haven't happened: their epochs aren't cut, and their keys may be used anew."""
+        self._known = {key for key in self._known if not void(key)}
+        self._waiting = {key: onset for key, onset in self._waiting.items() if not void(key)}
+        self._finished = [(key, result) for key, result in self._finished if not void(key)]
 
     def poll(self) -> list[tuple[Key, Epoch | Rejection]]:
         """What has been finished since the last call."""

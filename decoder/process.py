@@ -10,13 +10,25 @@ from bci_app.config import Config
 from bci_app.errors import LinkLost, SetupError
 from bci_app.lsl import EegInlet, MessageInlet, find_eeg, local_clock
 from bci_app.peer import Peer
-from bci_app.protocol import STIMULUS, VERDICTS, Electrodes, EpisodeStart, MoveOnset, SessionEnd, SessionStart
+from bci_app.protocol import (
+    STIMULUS,
+    VERDICTS,
+    Continued,
+    Electrodes,
+    EpisodeStart,
+    MoveOnset,
+    Recall,
+    Said,
+    SessionEnd,
+    SessionStart,
+    Verdict,
+)
 from decoder import model as models
 from decoder.drift import DriftWatch
 from decoder.electrodes import RECORDED_S, Examiner, changes
-from decoder.epochs import EpochBuffer
+from decoder.epochs import EpochBuffer, Rejection
 from decoder.judge import Judge, MoveKey, judge_with, judge_without
-from decoder.timeline import check_rate, measured_rate
+from decoder.timeline import MAX_JITTER, check_rate, measured_rate
 
 POLL_S = 0.005
 """Longest real time a round waits for a sample before it looks for onsets again."""
@@ -31,7 +43,8 @@ ROUND_S = 0.25
 """Real seconds a round counts as listening, at most: a process that was stopped, or starved, has heard nothing, but
 what came meanwhile is still to be pulled (decided: rounds take 5 ms)."""
 LOST_S = 10.0
-"""Real seconds of silence after which the run can't go on (decided)."""
+"""Real seconds an amplifier may take to deliver its first samples, and samples may be missing after the session's end
+(decided)."""
 SAME_CLOCK_S = 0.005
 """Seconds two streams of one host may seem apart: `time_correction` is good to 0.2 ms, more when a machine is busy."""
 CLOCK_S = 5.0
@@ -42,8 +55,17 @@ RATE_S = 10.0
 """Session seconds over which the rate is measured again and again."""
 
 
-def run(config: Config, session: str, clock: Clock, model_path: Path | None, parent: int | None = None) -> None:
+def run(
+    config: Config,
+    session: str,
+    clock: Clock,
+    model_path: Path | None,
+    parent: int | None = None,
+    returning: bool = False,
+) -> None:
     """Serve one session, from the first sample to the verdict on its last move.
+
+    When it is `returning` the session has begun already, with a decoder that is gone.
 
     Raises SetupError for an EEG stream that is missing, ambiguous or doesn't fit.
     """
@@ -59,7 +81,10 @@ def run(config: Config, session: str, clock: Clock, model_path: Path | None, par
     watch = DriftWatch(model.held_out_log_odds, model.held_out_error) if model else None
     server = _Server(config, peer, eeg, judge, watch)
     server.look()
-    server.serve(peer.wait_for(STIMULUS))
+    stimulus = peer.wait_for(STIMULUS)
+    if returning:
+        server.recall(peer.remember())
+    server.serve(stimulus)
     peer.linger()
 
 
@@ -84,6 +109,8 @@ class _Server:
         self._listened = local_clock()
         self._quiet_s = 0.0  # listened to without a sample
         self._silent = False
+        self._whole_since = self._newest = np.inf  # stamps: from the one to the other no sample is missing
+        self._is_short = False  # of EEG before the next move: the stimulus should wait
         self._rate_times = np.empty(0)
         self._rate_is_off = False
 
@@ -120,6 +147,25 @@ class _Server:
                 "moves and EEG can't be brought together. Set its connector to LSL's own time stamps."
             )
 
+    def recall(self, recall: Recall) -> None:
+        """Go on where a decoder before this one ended: its electrodes, and the moves it left unjudged."""
+        moves: dict[MoveKey, Said] = {}
+        for item in recall.said:
+            match item.message:
+                case SessionStart():
+                    self._recorded_since = item.stamp - RECORDED_S
+                case Electrodes() as electrodes:
+                    self._electrodes, self._judge = electrodes, self._judge.with_bad(electrodes.bad)
+                case MoveOnset() as move:
+                    moves[move.episode, move.step] = item
+                case Verdict() as verdict:
+                    moves.pop((verdict.episode, verdict.step), None)
+                    self._buffer.know((verdict.episode, verdict.step))
+        for key in moves:
+            self._buffer.know(key)
+            reason = "the decoder was started again, and the move's samples were lost with the one before"
+            self._tell(self._judge.verdict(key, Rejection(reason, by_time=True), 0.0))
+
     def serve(self, stimulus: MessageInlet) -> None:
         """Judge moves until the session has ended and every move has its verdict."""
         # Two streams of one machine share its clock: their difference is exactly nothing. A name can be shared by two
@@ -132,10 +178,13 @@ class _Server:
 
         ended, ended_at = False, 0.0
         while not ended or self._buffer.n_waiting:
-            self._peer.say("ready", f"{self._buffer.n_waiting} epochs open")
+            if self._is_short:
+                self._peer.say("waiting", f"for EEG from '{self._eeg.description.name}'")
+            else:
+                self._peer.say("ready", f"{self._buffer.n_waiting} epochs open")
             samples, times = self._eeg.pull(POLL_S)
             arrived = local_clock()
-            self._check_silence(len(times))
+            self._check_silence(times)
             self._buffer.push(samples, times)
             for item in self._peer.hear(stimulus):
                 match item.message:
@@ -147,6 +196,8 @@ class _Server:
                         self._examine((start.episode, 0))
                     case SessionStart():
                         self._recorded_since = item.stamp + offset() - RECORDED_S
+                    case Continued() as continued:
+                        self._forget_void(continued)
                     case SessionEnd():
                         ended, ended_at = True, arrived
             if ended and arrived - ended_at > LOST_S:
@@ -173,16 +224,23 @@ class _Server:
             return
         self._offsets[key], self._judges[key] = offset, self._judge
 
+    def _forget_void(self, continued: Continued) -> None:
+        """Moves that the stimulus, started again, doesn't remember come once more."""
+        self._buffer.forget(lambda key: key > (continued.episode, continued.step))
+
     def _answer(self, arrived: float) -> None:
         for key, result in self._buffer.poll():
             verdict = self._judges.pop(key).verdict(key, result, self._offsets.pop(key))
-            latency_ms = (local_clock() - arrived) * 1e3
-            self._peer.push(verdict.model_copy(update={"latency_ms": latency_ms}))
-            self._n_rejected = self._n_rejected + 1 if verdict.outcome == "rejected" else 0
-            if verdict.outcome == "rejected":
-                self._peer.note("warning", f"No verdict on episode {key[0]}, step {key[1]}: {verdict.reason}.")
-            if verdict.log_odds is not None:
-                self._look_for_drift(verdict.log_odds)
+            self._tell(verdict.model_copy(update={"latency_ms": (local_clock() - arrived) * 1e3}))
+
+    def _tell(self, verdict: Verdict) -> None:
+        key = verdict.episode, verdict.step
+        self._peer.push(verdict)
+        self._n_rejected = self._n_rejected + 1 if verdict.outcome == "rejected" else 0
+        if verdict.outcome == "rejected":
+            self._peer.note("warning", f"No verdict on episode {key[0]}, step {key[1]}: {verdict.reason}.")
+        if verdict.log_odds is not None:
+            self._look_for_drift(verdict.log_odds)
 
     def _look_for_drift(self, log_odds: float) -> None:
         """Warn once, after the verdict is out; verdicts stay as they are."""
@@ -198,19 +256,38 @@ class _Server:
         self._listened = now
         return self._quiet_s
 
-    def _check_silence(self, n_new: int) -> None:
-        before, quiet = self._quiet_s, self._quiet(n_new)
-        if n_new and self._silent:
+    def _check_silence(self, times: NDArray[np.float64]) -> None:
+        before, quiet = self._quiet_s, self._quiet(len(times))
+        self._look_for_gap(times)
+        if len(times) and self._silent:
             self._silent = False
             self._peer.note("info", f"The EEG is back after {before:.1f} s.")
             self._eeg.check_unchanged()
         elif not self._silent and quiet > SILENCE_S:
-            self._silent = True
+            self._silent = self._is_short = True
             self._peer.note("error", f"No EEG sample for {SILENCE_S:g} s.")
+        elif self._is_short and not self._silent and self._newest - self._whole_since >= self._lead_s():
+            self._is_short = False
         if quiet > PATIENCE_S:
             self._buffer.abandon("the EEG stream is silent")
-        if quiet > LOST_S:
-            raise LinkLost(f"No EEG sample for {LOST_S:g} s. Look at the amplifier; what was recorded is kept.")
+        if quiet > self._config.eeg.patience_s:
+            raise LinkLost(f"No EEG sample for {quiet:.0f} s. Look at the amplifier; what was recorded is kept.")
+
+    def _look_for_gap(self, times: NDArray[np.float64]) -> None:
+        """Keep in mind since when no sample is missing."""
+        if not len(times):
+            return
+        steps = np.diff(times, prepend=self._newest if np.isfinite(self._newest) else times[0])
+        breaks = np.flatnonzero((steps > 2 * MAX_JITTER) | (steps < -MAX_JITTER))
+        if len(breaks) or not np.isfinite(self._whole_since):
+            self._whole_since = float(times[breaks[-1] if len(breaks) else 0])
+        self._newest = float(times[-1])
+
+    def _lead_s(self) -> float:
+        """Session seconds of EEG that must be there when the stimulus goes on: the rest of an epoch's comes until its
+        next move."""
+        until_move = self._config.stimulus.rest_s + self._config.stimulus.countdown_s
+        return max(0.0, self._judge.shape.n_before / self._judge.shape.sfreq - until_move) + MAX_JITTER
 
     def _check_rate(self, times: NDArray[np.float64]) -> None:
         self._rate_times = np.concatenate((self._rate_times, times))

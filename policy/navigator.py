@@ -3,10 +3,11 @@
 A move and its verdict come on two streams, in either order; the policy steps once it has both.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from bci_app.gridworld import ACTIONS, GridWorld
-from bci_app.protocol import Action, EpisodeStart, MoveOnset, Verdict, VerdictUsed
+from bci_app.protocol import Action, Continued, EpisodeStart, Message, MoveOnset, Verdict, VerdictUsed
 from policy.agent import Agent, Decision
 
 
@@ -25,13 +26,14 @@ class Navigator:
     world: GridWorld
     session: str
     _episode: EpisodeStart | None = None
-    _decided: int = 0
+    _decided: int = 0  # the step of the last action
+    _newest: int = 0  # the step of the last move
     _onset: MoveOnset | None = None
     _verdicts: dict[int, Verdict] = field(default_factory=dict)
 
     def begin(self, start: EpisodeStart) -> Action:
         """A new episode: forget the last one and choose the first move."""
-        self._episode, self._decided, self._onset = start, 1, None
+        self._episode, self._decided, self._newest, self._onset = start, 1, 0, None
         self._verdicts.clear()
         decision = self.agent.begin(self.world.cell_at(*start.position), start.sensed)
         return self._action(decision, "missing")
@@ -40,7 +42,7 @@ class Navigator:
         """A move was shown; the next action if its verdict is here already."""
         if not self._is_current(onset) or onset.step != self._decided:
             return None
-        self._onset = onset
+        self._onset, self._newest = onset, onset.step
         return self._decide()
 
     def judged(self, verdict: Verdict) -> Action | None:
@@ -54,10 +56,42 @@ class Navigator:
         """Give up waiting for the verdict of the last move: it is said to be missing."""
         return self._step("missing", None) if self._onset is not None else None
 
+    def again(self, onset: MoveOnset, verdict: Verdict | None, went_on: bool) -> Action | None:
+        """A move of the past, with its verdict if there is one, or, where the policy `went_on`, without."""
+        action = self.moved(onset)
+        if went_on:
+            return self.missing()
+        return self.judged(verdict) if verdict else action
+
+    def relive(self, messages: Iterable[Message]) -> Action | None:
+        """Go through an episode's messages, in order: the last action, which its move hasn't followed yet, if any."""
+        said = list(messages)
+        verdicts = {message.step: message for message in said if isinstance(message, Verdict)}
+        actions = {message.step: message for message in said if isinstance(message, Action)}
+        action: Action | None = None
+        for message in said:
+            match message:
+                case EpisodeStart():
+                    action = self.begin(message)
+                case MoveOnset():
+                    action = self.again(message, verdicts.get(message.step), is_without(actions.get(message.step + 1)))
+        return action
+
     @property
     def in_episode(self) -> bool:
         """Whether an episode has begun."""
         return self._episode is not None
+
+    def is_in(self, start: EpisodeStart) -> bool:
+        """Whether this very episode is under way: its start was heard before."""
+        return start == self._episode
+
+    def forget_void(self, continued: Continued) -> bool:
+        """Forget what the stimulus, started again, has made void. True where a move was among it: then `relive`."""
+        if self._episode is None or self._episode.episode < continued.episode:
+            return False
+        self._verdicts = {step: verdict for step, verdict in self._verdicts.items() if step <= continued.step}
+        return (self._episode.episode, self._newest) > (continued.episode, continued.step)
 
     def is_late(self, verdict: Verdict) -> bool:
         """Whether the policy has already moved on without this verdict."""
@@ -101,6 +135,11 @@ class Navigator:
                 "evidence": decision.evidence,
             }
         )
+
+
+def is_without(following: Action | None) -> bool:
+    """Whether the action after a move was chosen without a verdict on it: when one came isn't in the samples."""
+    return following is not None and following.verdict == "missing"
 
 
 def used(verdict: Verdict) -> VerdictUsed:

@@ -13,8 +13,10 @@ from bci_app.protocol import (
     STIMULUS,
     VERDICTS,
     Action,
+    Continued,
     EpisodeStart,
     MoveOnset,
+    Recall,
     SessionEnd,
     SessionStart,
     Verdict,
@@ -33,12 +35,18 @@ def run(
     agent: Agent,
     world: GridWorld,
     parent: int | None = None,
+    returning: bool = False,
 ) -> None:
-    """Serve one session, from the stimulus's first message to its `SessionEnd`."""
+    """Serve one session, from the stimulus's first message to its `SessionEnd`.
+
+    When it is `returning` the session has begun already, with a policy that is gone.
+    """
     peer = Peer(ACTIONS_STREAM, "policy", session, clock, parent)
     stimulus = peer.wait_for(STIMULUS)
     verdicts = peer.wait_for(VERDICTS)
     server = _Server(config, peer, Navigator(agent, world, session))
+    if returning:
+        server.recall(peer.remember())
     while not server.ended:
         peer.say(server.state)
         server.listen(peer.hear(verdicts, timeout=POLL_S))
@@ -61,6 +69,11 @@ class _Server:
     def state(self) -> State:
         return "running" if self.navigator.in_episode else "ready"
 
+    def recall(self, recall: Recall) -> None:
+        """Have the memory of the episode under way again. The last action may never have arrived: it is said again."""
+        self._onset_arrived = local_clock()
+        self._answer(self.navigator.relive(item.message for item in recall.said), local_clock())
+
     def listen(self, received: Sequence[Received]) -> None:
         for item in received:
             try:
@@ -72,11 +85,13 @@ class _Server:
         match item.message:
             case SessionStart() as start:
                 self._check_map(start)
-            case EpisodeStart() as episode:
+            case EpisodeStart() as episode if not self.navigator.is_in(episode):
                 self._answer(self.navigator.begin(episode), item.arrived)
             case MoveOnset() as onset:
                 self._onset_arrived = item.arrived
                 self._answer(self.navigator.moved(onset), item.arrived)
+            case Continued() as continued if self.navigator.forget_void(continued):
+                self.recall(self.peer.remember())
             case Verdict() as verdict:
                 self._judged(verdict, item.arrived)
             case SessionEnd():

@@ -151,7 +151,7 @@ class Walk:
 
     def move_messages(self) -> tuple[MoveOnset, Truth]:
         """For the stimulus and the truth stream, about the last move."""
-        came_from, action = self.last_move
+        action = self.last_move[1]
         onset = MoveOnset(
             session=self.session,
             episode=self.number,
@@ -160,9 +160,13 @@ class Walk:
             position=self.position(self.cell),
             sensed=self.world.goal_sensed(self.cell, self.goal),
         )
-        error, distance = self.world.is_error(came_from, action, self.goal), self._distance()
+        error, distance = self.was_error(), self._distance()
         truth = Truth(session=self.session, episode=self.number, step=self.steps, error=error, distance=distance)
         return onset, truth
+
+    def was_error(self) -> bool:
+        """Whether the last move made the way to the goal longer."""
+        return self.world.is_error(*self.last_move, self.goal)
 
     def end_message(self, reason: Literal["goal", "limit", "block", "aborted"]) -> EpisodeEnd:
         """For the stimulus stream, when the last move has rested."""

@@ -9,38 +9,46 @@ the onset, which is the flip that showed the jump::
                                HOLD-' (no action yet)        '-> LOOK (next episode), or BREAK -> KEY -> LOOK
 
 A calibration's block goes on until it has its moves without those whose epochs were rejected: each of these is repeated
-at the end of the block, by a move of the same kind, for at most `MOST_REPEATED` of the block.
+at the end of the block, by a move of the same kind (`stimulus.repeats`).
+
+A paradigm that takes the place of one whose process died goes through what was said (`remember`) and is paused then.
 """
 
-import math
-from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Literal, Self
 
 from bci_app.config import Config, StimulusConfig
+from bci_app.errors import SetupError
 from bci_app.gridworld import ACTIONS, GridWorld
 from bci_app.protocol import (
     Action,
     BlockEnd,
     BlockStart,
+    Command,
+    Continued,
+    EpisodeEnd,
+    EpisodeStart,
     Message,
+    MoveOnset,
     Note,
     Pause,
     Resume,
     RunSeed,
+    Said,
     SessionEnd,
+    SessionStart,
     Verdict,
 )
 from stimulus.episodes import Plan, Walk, calibration_plan, online_plan
+from stimulus.repeats import Repeats
 from stimulus.scene import Scene
 
 WELCOME = "Watch the red agent on its way to the green goal.\nJudge every move in silence: right or wrong?"
 COMPLETE = "Done. Thank you!"
 STOPPED = "The session has ended."
 EYE_MOVEMENTS = ("Blink", "Look left and right", "Look up and down")
-MOST_REPEATED = 0.5
-"""Share of a block's moves that may be repeated: with more rejected, the electrodes want looking at (decided)."""
 
 
 @dataclass(frozen=True)
@@ -90,15 +98,14 @@ class Paradigm:
         self._last_stamp = float("-inf")
         self._block = self._block_moves = 0
         self._moves = 0  # without those that must be repeated
-        self._unjudged: dict[tuple[int, int], bool] = {}  # of this block; whether each was an error
-        self._again: deque[bool] = deque()  # the same of moves still to be repeated
-        self._repeats = 0  # in this block
+        self._repeats = Repeats(plan.moves_per_block)
         self._walk = Walk(world, self.session, number=-1, cell=0, goal=0, max_steps=0)  # until the first begins
         self._running = False
         self._is_enough = False  # no block is to come after the one under way
         self._eye_task = -1
         self._action: int | None = None  # of the coming move
-        self._pause_reason: str | None = None
+        self._pause: Pause | None = None  # the last
+        self._pause_to_come: Pause | None = None
         self._paused_in = Phase.READY
         self._closing_text = COMPLETE
 
@@ -149,7 +156,7 @@ class Paradigm:
     @property
     def needs_verdicts(self) -> bool:
         """True for a run in blocks, where moves whose epochs are rejected are repeated."""
-        return self._plan.moves_per_block is not None
+        return self._repeats.is_on
 
     @property
     def progress(self) -> str:
@@ -230,8 +237,7 @@ class Paradigm:
         self._moves += 1
         self._block_moves += 1
         onset_message, truth = self._walk.move_messages()
-        if self.needs_verdicts:
-            self._unjudged[truth.episode, truth.step] = truth.error
+        self._repeats.made((truth.episode, truth.step), truth.error)
         self._send_pair((onset_message, truth), onset)
         self._wait(Phase.ARROW, onset + self._times.arrow_s)
 
@@ -246,41 +252,46 @@ class Paradigm:
 
     def take_verdict(self, verdict: Verdict, now: float) -> None:
         """Hear whether a move's epoch is valid; one of this block that was rejected is repeated at its end."""
-        error = self._unjudged.pop((verdict.episode, verdict.step), None)
-        if error is None:
+        found = self._repeats.judged((verdict.episode, verdict.step), verdict.outcome)
+        if found == "known":
             return
-        most = math.ceil(MOST_REPEATED * (self._plan.moves_per_block or 0))
-        if verdict.outcome == "rejected" and self._repeats < most:
-            self._again.append(error)
-            self._repeats += 1
-            self._moves -= 1
-            if self._repeats == most:
-                text = (
-                    f"{most} moves of block {self._block} had to be repeated; no more will be. Look at the electrodes."
-                )
-                self._send(Note(session=self.session, role="stimulus", level="warning", text=text), now)
+        self._moves -= found in ("again", "last")
+        if found == "last":
+            most = self._repeats.most
+            text = f"{most} moves of block {self._block} had to be repeated; no more will be. Look at the electrodes."
+            self._send(Note(session=self.session, role="stimulus", level="warning", text=text), now)
         self._after_verdict(now)
 
     def miss_verdicts(self, now: float) -> int:
         """Take those that stay away for valid; returns how many."""
-        n_missing = len(self._unjudged)
-        self._unjudged.clear()
+        n_missing = self._repeats.give_up()
         self._after_verdict(now)
         return n_missing
 
-    def pause(self, now: float, reason: str) -> None:
+    def pause(self, now: float, reason: str, by_person: bool = False) -> None:
         """Pause as soon as that spoils no epoch: at once, or after the move or break that is under way.
 
-        Does nothing where the run waits for a person anyway.
+        Does nothing before the start, after the end, and in a pause, but that a person's pause stays one.
         """
-        if self._phase in (Phase.LOOK, Phase.COUNTDOWN, Phase.HOLD):
-            self._enter_pause(now, reason)
+        pause = Pause(session=self.session, reason=reason, by_person=by_person)
+        if self._phase in (Phase.LOOK, Phase.COUNTDOWN, Phase.HOLD, Phase.KEY):
+            self._enter_pause(now, pause)
         elif self._phase in (Phase.EYES, Phase.JUMP, Phase.ARROW, Phase.REST, Phase.VERDICT, Phase.BREAK):
-            self._pause_reason = reason
+            if self._pause_to_come is None or by_person:
+                self._pause_to_come = pause
+        elif self._phase is Phase.PAUSED and by_person and not self.is_paused_by_person:
+            self._pause = pause
+            self._send(pause, now)
+
+    @property
+    def is_paused_by_person(self) -> bool:
+        """Whether only a person's key ends the pause, now or to come."""
+        pause = self._pause if self._phase is Phase.PAUSED else self._pause_to_come
+        return pause is not None and pause.by_person
 
     def resume(self, now: float) -> None:
         """Go on after a pause, with time to look and a full countdown; calls off a pause still to come."""
-        self._pause_reason = None
+        self._pause_to_come = None
         if self._phase is not Phase.PAUSED:
             return
         self._send(Resume(session=self.session), now)
@@ -288,12 +299,90 @@ class Paradigm:
             self._next_eye_movement(now)
         elif self._paused_in is Phase.BREAK:
             self._after_break(now)
+        elif self._paused_in is Phase.KEY:
+            self._phase = Phase.KEY
         elif self._is_undecided():
             self._phase = Phase.VERDICT
+        elif not self._running:
+            self._after_episode(now)
         elif reason := self._end_reason():
             self._end_episode(now, reason)
         else:
             self._wait(Phase.LOOK, now + self._times.rest_s)
+
+    def remember(self, said: Iterable[Said], now: float) -> None:
+        """Take the place of a paradigm whose process died: go through what was said, and wait, paused, to go on.
+
+        Chance goes on where it was. Raises SetupError where what was said isn't of this run.
+        """
+        actions: dict[tuple[int, int], Action] = {}
+        before: Pause | None = None
+        for item in said:
+            self._last_stamp = max(self._last_stamp, item.stamp)
+            match item.message:
+                case SessionStart():
+                    self._phase, self._paused_in = Phase.PAUSED, Phase.EYES
+                case BlockStart() as block:
+                    self._paused_in = Phase.REST
+                    self._block, self._block_moves = block.block, 0
+                    self._repeats.begin()
+                case EpisodeStart() as start:
+                    self._paused_in = Phase.REST
+                    self._remember_start(start)
+                case MoveOnset() as onset:
+                    self._remember_move(onset)
+                case Verdict() as verdict:
+                    found = self._repeats.judged((verdict.episode, verdict.step), verdict.outcome)
+                    self._moves -= found in ("again", "last")
+                case Action() as action:
+                    actions[action.episode, action.step] = action
+                case EpisodeEnd():
+                    self._running = False
+                case BlockEnd() as block:
+                    self._block, self._paused_in = block.block + 1, Phase.BREAK
+                case Pause() as pause:
+                    before = pause
+                case Resume():
+                    before = None
+                case Command(command="finish"):
+                    self._is_enough = True
+                case SessionEnd():
+                    self._phase = Phase.DONE
+        if self._phase is not Phase.PAUSED:
+            return
+        reason = "The stimulus was started again."
+        by_person = before is not None and before.by_person
+        self._pause = Pause(session=self.session, reason=reason, by_person=by_person)
+        action_to_come = actions.get((self._walk.number, self._walk.steps + 1))
+        if self._running and action_to_come is not None and not self._end_reason():
+            self._action = ACTIONS.index(action_to_come.action)
+        self.tell_where(now)
+        self._send(self._pause, now)
+
+    def tell_where(self, now: float) -> None:
+        """Say after which move the run goes on, and its seed: what a stimulus announced that died before is void."""
+        number, step = (self._walk.number, self._walk.steps) if self._running else (self._walk.number + 1, 0)
+        self._send(Continued(session=self.session, episode=number, step=step), now)
+        self._send(RunSeed(session=self.session, seed=self._plan.seed), now, "truth")
+
+    def _remember_start(self, start: EpisodeStart) -> None:
+        episode = next(self._plan.episodes, None)
+        if episode is None or self._walk.position(episode.start) != start.position:
+            raise SetupError(
+                f"Episode {start.episode} of the session began at {start.position}, which isn't what this stimulus's "
+                "seed, map and configuration give. Start it with those of the one before."
+            )
+        self._running = True
+        self._walk = Walk(self.world, self.session, start.episode, episode.start, episode.goal, start.max_steps)
+
+    def _remember_move(self, onset: MoveOnset) -> None:
+        if self._plan.choose is not None:
+            self._plan.choose(self._walk.cell, self._walk.goal, self._kind_to_repeat())
+        self._walk.go(ACTIONS.index(onset.action))
+        self._walk.steps = onset.step
+        self._moves += 1
+        self._block_moves += 1
+        self._repeats.made((onset.episode, onset.step), self._walk.was_error())
 
     def finish(self, now: float) -> None:
         """Let the block under way be the last; between two, the run is complete at once."""
@@ -322,8 +411,8 @@ class Paradigm:
                 self._jump()
             case Phase.ARROW:
                 self._wait(Phase.REST, self._due + self._times.rest_s)
-            case _ if self._pause_reason is not None:
-                self._enter_pause(now, self._pause_reason)
+            case _ if self._pause_to_come is not None:
+                self._enter_pause(now, self._pause_to_come)
             case Phase.EYES:
                 self._next_eye_movement(now)
             case Phase.REST if self._is_undecided():
@@ -340,8 +429,7 @@ class Paradigm:
 
     def _jump(self) -> None:
         if self._plan.choose is not None:
-            again = self._again.popleft() if self._again and self._is_block_full() else None
-            self._action = self._plan.choose(self._walk.cell, self._walk.goal, again)
+            self._action = self._plan.choose(self._walk.cell, self._walk.goal, self._kind_to_repeat())
         if self._action is None:
             self._phase = Phase.HOLD
             return
@@ -352,6 +440,10 @@ class Paradigm:
     def _end_reason(self) -> Literal["goal", "limit", "block"] | None:
         return self._walk.over() or ("block" if self._is_block_over() else None)
 
+    def _kind_to_repeat(self) -> bool | None:
+        """Whether the next move must be an error; None while it needn't repeat another."""
+        return self._repeats.take() if self._is_block_full() else None
+
     def _is_block_full(self) -> bool:
         """Whether the block has all its moves, if none must be repeated."""
         per_block = self._plan.moves_per_block
@@ -359,10 +451,10 @@ class Paradigm:
 
     def _is_block_over(self) -> bool:
         """Whether it also has those that must be repeated by what is known so far."""
-        return self._is_block_full() and not self._again
+        return self._is_block_full() and not self._repeats.any_left
 
     def _is_undecided(self) -> bool:
-        return self._is_block_over() and bool(self._unjudged)
+        return self._is_block_over() and self._repeats.is_undecided
 
     def _after_verdict(self, now: float) -> None:
         if self._phase is Phase.VERDICT and not self._is_undecided():
@@ -379,8 +471,8 @@ class Paradigm:
         self._wait(Phase.EYES, now + self._plan.eye_movements_s / len(EYE_MOVEMENTS))
 
     def _begin_block(self, now: float) -> None:
-        self._block_moves = self._repeats = 0
-        self._again.clear()
+        self._block_moves = 0
+        self._repeats.begin()
         if self._plan.moves_per_block is not None:
             start = BlockStart(session=self.session, block=self._block, n_moves=self._plan.moves_per_block)
             self._send(start, now)
@@ -399,12 +491,15 @@ class Paradigm:
 
     def _end_episode(self, now: float, reason: Literal["goal", "limit", "block"]) -> None:
         self._send_episode_end(now, reason)
+        self._after_episode(now)
+
+    def _after_episode(self, now: float) -> None:
         if not self._is_block_over():
             self._begin_episode(now)
             return
         self._send(BlockEnd(session=self.session, block=self._block, n_moves=self._block_moves), now)
         self._block += 1
-        if self._block == self._plan.n_blocks or self._is_enough:
+        if self._is_last_block():
             self._complete(now)
         else:
             self._wait(Phase.BREAK, now + self._plan.break_s)
@@ -413,18 +508,21 @@ class Paradigm:
         self._running = False
         self._send(self._walk.end_message(reason), now)
 
+    def _is_last_block(self) -> bool:
+        return self._block == self._plan.n_blocks or self._is_enough
+
     def _after_break(self, now: float) -> None:
-        if self._is_enough:
+        if self._is_last_block():
             self._complete(now)
         elif self._plan.wait_for_key:
             self._phase = Phase.KEY
         else:
             self._begin_block(now)
 
-    def _enter_pause(self, now: float, reason: str) -> None:
-        self._pause_reason, self._paused_in = None, self._phase
+    def _enter_pause(self, now: float, pause: Pause) -> None:
+        self._pause, self._pause_to_come, self._paused_in = pause, None, self._phase
         self._phase = Phase.PAUSED
-        self._send(Pause(session=self.session, reason=reason), now)
+        self._send(pause, now)
 
     def _complete(self, now: float) -> None:
         self._send(SessionEnd(session=self.session, reason="complete"), now)

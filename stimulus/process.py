@@ -9,7 +9,7 @@ from dataclasses import replace
 from bci_app.clock import Clock
 from bci_app.config import Config
 from bci_app.lsl import MarkerOutlet, MessageInlet, MessageOutlet, local_clock
-from bci_app.peer import Peer
+from bci_app.peer import HEARTBEAT_S, Peer
 from bci_app.protocol import (
     ACTIONS_STREAM,
     MARKERS,
@@ -33,7 +33,14 @@ POLL_S = 0.002
 """Longest real time between two looks at keyboard, commands and actions."""
 
 
-def run(config: Config, clock: Clock, paradigm: Paradigm, commanded: bool, parent: int | None = None) -> None:
+def run(
+    config: Config,
+    clock: Clock,
+    paradigm: Paradigm,
+    commanded: bool,
+    parent: int | None = None,
+    returning: bool = False,
+) -> None:
     """Show one run.
 
     Parameters
@@ -41,6 +48,7 @@ def run(config: Config, clock: Clock, paradigm: Paradigm, commanded: bool, paren
     paradigm : the run, ready to start; it knows its session.
     commanded : bci-app says when to begin; otherwise a key does, or, headless, the peers' being there.
     parent : process id of the program that started this one, if it must end with it.
+    returning : the session has begun already, with a stimulus that is gone.
     """
     session = paradigm.session
     peer = Peer(STIMULUS, "stimulus", session, clock, parent)
@@ -48,6 +56,8 @@ def run(config: Config, clock: Clock, paradigm: Paradigm, commanded: bool, paren
     try:
         shell = _Shell(config, peer, paradigm, view)
         shell.connect(commanded)
+        if returning:
+            shell.recall()
         if not commanded and config.stimulus.headless:
             shell.await_peers()
             paradigm.start(clock.now())
@@ -80,6 +90,8 @@ class _Shell:
         self._drawn_at = 0.0
         self._held_since: float | None = None
         self._paused_for_action = False
+        self._tell_where_until_resumed = False
+        self._told_where_at = 0.0
         # A jump is due on a frame's edge. Where the screen paces the flips, one drawn only then would be a frame late.
         self._lead = 0.0 if config.stimulus.headless else FRAME_S / 2
 
@@ -103,6 +115,11 @@ class _Shell:
             ):
                 self._peer.say("waiting", "for decoder and policy to be ready")
 
+    def recall(self) -> None:
+        """Go on where a stimulus before this one ended."""
+        self._paradigm.remember(self._peer.remember().said, self._clock.now())
+        self._tell_where_until_resumed = True
+
     def frame(self) -> None:
         """Input, update, draw, flip, then the messages that tell of it, then wait for what comes next."""
         self._peer.say("ready" if self._paradigm.waiting_for == "start" else "running", self._paradigm.progress)
@@ -110,6 +127,7 @@ class _Shell:
         now = self._clock.now()
         self._paradigm.update(now + self._lead)
         self._hold(now)
+        self._tell_where(now)
         self._show(self._paradigm.scene(now))
         self.send()
         self._wait()
@@ -133,6 +151,10 @@ class _Shell:
             match item.message:
                 case Command(command="start"):
                     self._paradigm.start(now)
+                case Command(command="pause", text=text):
+                    self._paradigm.pause(now, text)
+                case Command(command="resume") if not self._paradigm.is_paused_by_person:
+                    self._paradigm.resume(now)
                 case Command(command="finish"):
                     self._paradigm.finish(now)
                 case Command(command="stop"):
@@ -148,12 +170,12 @@ class _Shell:
         match key:
             case "start" if self._paradigm.waiting_for == "start" and not self._commands:
                 self._paradigm.start(now)
-            case "start" if self._paradigm.waiting_for == "resume":
+            case "start" if self._paradigm.is_paused_by_person:
                 self._paradigm.resume(now)
             case "start":
                 self._paradigm.key_start(now)
             case "pause":
-                self._paradigm.pause(now, "The experimenter pressed pause.")
+                self._paradigm.pause(now, "The experimenter pressed pause.", by_person=True)
             case "stop":
                 self._paradigm.stop(now, "interrupted", "Stopped at the stimulus's keyboard.")
 
@@ -186,6 +208,13 @@ class _Shell:
             self._peer.note("error", reason)
             self._paradigm.pause(now, reason)
             self._paused_for_action = True
+
+    def _tell_where(self, now: float) -> None:
+        """After a return, until everybody is known to hear this process again."""
+        self._tell_where_until_resumed &= self._paradigm.waiting_for == "resume"
+        if self._tell_where_until_resumed and local_clock() - self._told_where_at >= HEARTBEAT_S:
+            self._told_where_at = local_clock()
+            self._paradigm.tell_where(now)
 
     def _show(self, scene: Scene) -> None:
         """Draw what changed; of the running countdown no more than a frame's worth."""

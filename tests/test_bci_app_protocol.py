@@ -40,7 +40,7 @@ def test_floats_survive_to_the_bit(
     [
         ("hello", "Invalid JSON"),
         ("{}", "type"),
-        ('{"protocol": 4, "session": "s", "type": "Resume"}', "protocol"),
+        ('{"protocol": 5, "session": "s", "type": "Resume"}', "protocol"),
         ('{"protocol": 2, "session": "s", "type": "Resume", "extra": 1}', "extra"),
         ('{"protocol": 2, "session": "other", "type": "Resume"}', "session 'other'"),
         ('{"protocol": 2, "session": "s", "type": "Gossip"}', "type"),
@@ -68,7 +68,7 @@ def test_older_versions_are_read_and_the_newest_sent() -> None:
     old = decode(json.dumps({**message, "clock_offset": 0.0}), "s")
     assert isinstance(old, Verdict)
     assert (old.protocol, old.evidence) == (1, None)
-    assert json.loads(encode(protocol.Resume(session="s")))["protocol"] == protocol.PROTOCOL_VERSION == 3
+    assert json.loads(encode(protocol.Resume(session="s")))["protocol"] == protocol.PROTOCOL_VERSION == 4
     assert f"| `protocol` | integer | {protocol.PROTOCOL_VERSION}, the version of this page" in PAGE
 
 

@@ -250,7 +250,11 @@ def test_a_key_ends_a_break_but_not_before_its_time() -> None:
     runner.step()
     assert (paradigm.waiting_for, paradigm.next_due()) == ("key", None)
     assert "space" in str(paradigm.scene(runner.now).text)
-    paradigm.pause(runner.now, "no effect in a break that waits anyway")
+    paradigm.pause(runner.now, "the policy is gone")
+    paradigm.key_start(runner.now + 30)  # no effect: a key that is pressed in a pause is none
+    assert paradigm.waiting_for == "resume"
+    paradigm.resume(runner.now + 40)
+    assert paradigm.waiting_for == "key"
     paradigm.key_start(runner.now + 60)
     runner.take()
     assert runner.of(BlockStart)[-1].stamp == runner.now + 60
