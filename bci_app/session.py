@@ -28,21 +28,17 @@ from bci_app.protocol import (
     MARKERS,
     SESSION,
     STIMULUS,
-    STREAMS,
     TRUTH,
     VERDICTS,
     Command,
-    Returned,
     Role,
-    Status,
     StreamSpec,
     simulated_source_id,
 )
 from bci_app.recorder import Recorder
 from bci_app.recording import read
 from bci_app.runs import Run, checksum, versions, write_sidecar, write_sums
-from bci_app.said import Memory
-from bci_app.wellness import HANGS_S, MOST_FAILURES, WITHIN_S, Wellness
+from bci_app.supervisor import Supervisor
 from bci_app.xdf import Follower
 
 READY_TIMEOUT_S = 90.0
@@ -53,8 +49,6 @@ GROW_PAUSED_S = 15.0
 """The same without EEG: messages alone are written only when some kilobytes have come together."""
 RECORDED_WITHIN_S = 8.0
 """Real seconds until every stream that speaks has come into a new file: LabRecorder asks for clocks first."""
-AGAIN_S = 0.5
-"""Real seconds after which a command that had no effect yet is said again."""
 HALT_TIMEOUT_S = 10.0
 """Real seconds a move under way may take until the run is stopped without waiting for its end."""
 LEAD_CYCLES = 4.5
@@ -174,14 +168,10 @@ class _Conductor:
         self.heard = Heard(plan.roles)
         self.recorder: Recorder | None = None
         self.sidecar: dict[str, Any] = {}
-        self.wellness = Wellness(plan.roles, plan.task == "calibration")
-        self.memory = Memory(session)
-        self.newest: dict[Role, float] = {}  # stamp of the last word of each process
-        self.returned: dict[Role, float] = {}  # stamps at which processes asked what they had missed
         self.follower = Follower(plan.run.xdf)
-        self.awaited: dict[str, int] = {}  # source ids of streams, and chunks that must be in the file
-        self.paused_for: str | None = None
-        self.commanded_at = 0.0
+        self.supervisor = Supervisor(
+            plan.roles, plan.remote, self._arguments, self.peer, self.crew, self.heard, self.follower
+        )
         self.ended_at: float | None = None
         self.size = 0
         self.grew_at = 0.0
@@ -281,8 +271,7 @@ class _Conductor:
                 self.peer.push(Command(session=self.session, command="start"))
             self.peer.say("running")
             self._listen(timeout=0.05)
-            self._mend()
-            self._answer()
+            self.supervisor.tend()
             self._check()
             self._look_ahead()
             what, done, total = self.heard.progress()
@@ -302,74 +291,8 @@ class _Conductor:
     def _listen(self, timeout: float) -> None:
         for number, (role, inlet) in enumerate(self.inlets.items()):
             for item in self.peer.hear(inlet, timeout if number == len(self.inlets) - 1 else 0.0):
-                message = item.message
-                self.newest[role] = item.stamp
-                self.wellness.take(role, item.stamp, message if isinstance(message, Status) else None, local_clock())
-                self.memory.take(item.stamp, message)
-                self.heard.take(message)
-                if isinstance(message, Returned):
-                    self.returned.setdefault(message.role, item.stamp)
-
-    def _mend(self) -> None:
-        """Start again what has died or hangs, and let the stimulus wait meanwhile."""
-        now = local_clock()
-        failed = self.crew.check(may_be_mended=self.heard.start is not None)
-        for role in self.wellness.hanging(now):
-            if role in self.plan.remote or self.heard.start is None:
-                raise LinkLost(f"No word from the {role} process for {HANGS_S:g} s: it hangs or is cut off.")
-            if role not in failed and role not in self.crew.ended():
-                self.crew.kill(role)
-                failed[role] = f"The {role} process said nothing for {HANGS_S:g} s and was ended."
-        for role, how in failed.items():
-            self._start_again(role, how, now)
-        self._pause_or_resume(now)
-
-    def _start_again(self, role: Role, how: str, now: float) -> None:
-        if not self.wellness.failed(role, now, self.clock.now()):
-            raise LinkLost(f"{how} That was failure {MOST_FAILURES} within {WITHIN_S:g} s; no more are mended.")
-        self.peer.note("error", f"{how} It is started again.")
-        self.heard.forget(role)
-        self.returned.pop(role, None)
-        self.awaited |= {spec.source_id(self.session): -1 for spec in STREAMS if spec.role == role}
-        self.crew.start(role, [*self._arguments(role), *(["--returning"] if role != "amplifier" else [])])
-
-    def _pause_or_resume(self, now: float) -> None:
-        """The stimulus goes on only while everybody hears everybody and all of it is recorded."""
-        if self.heard.start is None or self.heard.end is not None:
-            return
-        troubles = self.wellness.troubles() + self._unrecorded()
-        if bool(troubles) != (self.paused_for is not None):
-            self.commanded_at = 0.0
-        if troubles and self.paused_for is None:
-            self.peer.note("warning", f"The session waits. {troubles[0]}")
-        self.paused_for = troubles[0] if troubles else None
-        is_asked = self.paused_for is not None or self.heard.is_paused
-        if is_asked and now - self.commanded_at > AGAIN_S:
-            self.commanded_at = now
-            command: Literal["pause", "resume"] = "pause" if troubles else "resume"
-            self.peer.push(Command(session=self.session, command=command, text=self.paused_for or ""))
-
-    def _unrecorded(self) -> list[str]:
-        """Streams of processes that were started again and haven't come into the file yet."""
-        for source, chunks in self.awaited.items():
-            role = next(spec.role for spec in STREAMS if spec.source_id(self.session) == source)
-            if chunks < 0 and self.wellness.is_back(role):
-                # What is written from now on is the new process's.
-                self.awaited[source] = self.follower.n_chunks[source] + 1
-        found = self.follower.n_chunks
-        self.awaited = {source: n for source, n in self.awaited.items() if n < 0 or found[source] < n}
-        return [f"The recorder doesn't hear {source.rsplit('/')[-1]} yet." for source in self.awaited]
-
-    def _answer(self) -> None:
-        """Tell those who have returned what they missed, once all that was said before they were connected is here.
-
-        A stream's messages come in order: one that was sent after the question comes after all that was sent before.
-        """
-        for role, stamp in list(self.returned.items()):
-            others = [other for other in self.plan.roles if other != role and self.wellness.is_back(other)]
-            if all(self.newest.get(other, stamp) > stamp for other in others):
-                self.peer.push(self.memory.recall(role))
-                del self.returned[role]
+                self.supervisor.take(role, item)
+                self.heard.take(item.message)
 
     def _look_ahead(self) -> None:
         """After each block of a calibration, tell what more would be worth; end it if that is little, and so wanted."""
@@ -385,7 +308,7 @@ class _Conductor:
         if seen.is_clear and self.config.calibration.stop_when_clear:
             self.peer.note("info", "That is enough: the calibration ends after the block under way.")
             finish = Command(session=self.session, command="finish")
-            self.memory.take(self.clock.now(), finish)
+            self.supervisor.memory.take(self.clock.now(), finish)
             self.peer.push(finish)
 
     def _check(self) -> None:
@@ -396,7 +319,7 @@ class _Conductor:
         self.follower.look()
         if self.follower.n_bytes > self.size:
             self.size, self.grew_at = self.follower.n_bytes, now
-        if now - self.grew_at > (GROW_PAUSED_S if self.paused_for else GROW_TIMEOUT_S):
+        if now - self.grew_at > (GROW_PAUSED_S if self.supervisor.waits_for else GROW_TIMEOUT_S):
             self._halt(
                 f"{self.plan.run.xdf} has stopped growing at {self.size} bytes: the disk is full or LabRecorder hangs."
             )

@@ -1,0 +1,131 @@
+"""Keeps a run going: starts again what dies, tells it what it missed, and has the stimulus wait meanwhile."""
+
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+from bci_app.clock import Clock
+from bci_app.crew import Crew
+from bci_app.errors import LinkLost
+from bci_app.heard import Heard
+from bci_app.lsl import Received, local_clock
+from bci_app.peer import Peer
+from bci_app.protocol import STREAMS, Command, Returned, Role, Status
+from bci_app.said import Memory
+from bci_app.wellness import HANGS_S, MOST_FAILURES, WITHIN_S, Wellness
+from bci_app.xdf import Follower
+
+AGAIN_S = 0.5
+"""Real seconds after which a command that had no effect yet is said again."""
+
+
+class Supervisor:
+    """Follows one run's messages and acts on them.
+
+    Parameters
+    ----------
+    roles : the processes that take part.
+    remote : those of them that were started by hand and can't be started again from here.
+    arguments : the command line of each.
+    peer : says what is wrong, and commands the stimulus.
+    follower : tells which streams come into the recording.
+    """
+
+    def __init__(
+        self,
+        roles: Sequence[Role],
+        remote: frozenset[Role],
+        arguments: Callable[[Role], list[str]],
+        peer: Peer,
+        crew: Crew,
+        heard: Heard,
+        follower: Follower,
+    ) -> None:
+        self._roles, self._remote, self._arguments = roles, remote, arguments
+        self._peer, self._crew, self._heard, self._follower = peer, crew, heard, follower
+        self._clock: Clock = peer.clock
+        self._wellness = Wellness(roles, "policy" not in roles)
+        self.memory = Memory(peer.session)
+        self._newest: dict[Role, float] = {}  # stamp of the last word of each process
+        self._returned: dict[Role, float] = {}  # stamps at which processes asked what they had missed
+        self._awaited: dict[str, int] = {}  # by source id: chunks that must be in the file; -1 where not known yet
+        self._commanded_at = 0.0
+        self.waits_for: str | None = None
+        """Why the stimulus must wait, in a sentence; None while it needn't."""
+
+    def take(self, role: Role, item: Received) -> None:
+        """Take in a message of a process."""
+        message = item.message
+        self._newest[role] = item.stamp
+        self._wellness.take(role, item.stamp, message if isinstance(message, Status) else None, local_clock())
+        self.memory.take(item.stamp, message)
+        if isinstance(message, Returned):
+            self._returned.setdefault(message.role, item.stamp)
+
+    def tend(self) -> None:
+        """Do what is to be done now. Raises SetupError or LinkLost for what can't be mended."""
+        now = local_clock()
+        for role, how in self._failures(now).items():
+            self._start_again(role, how, now)
+        self._answer()
+        self._pause_or_resume(now)
+
+    def _failures(self, now: float) -> dict[Role, str]:
+        """Processes that have died, or hang and have been ended, and how."""
+        has_begun = self._heard.start is not None
+        failed = self._crew.check(may_be_mended=has_begun)
+        for role in self._wellness.hanging(now):
+            if role in self._remote or not has_begun:
+                raise LinkLost(f"No word from the {role} process for {HANGS_S:g} s: it hangs or is cut off.")
+            if role not in failed and role not in self._crew.ended():
+                self._crew.kill(role)
+                failed[role] = f"The {role} process said nothing for {HANGS_S:g} s and was ended."
+        return failed
+
+    def _start_again(self, role: Role, how: str, now: float) -> None:
+        if not self._wellness.failed(role, now, self._clock.now()):
+            raise LinkLost(f"{how} That was failure {MOST_FAILURES} within {WITHIN_S:g} s; no more are mended.")
+        self._note("error", f"{how} It is started again.")
+        self._heard.forget(role)
+        self._returned.pop(role, None)
+        self._awaited |= {spec.source_id(self._peer.session): -1 for spec in STREAMS if spec.role == role}
+        self._crew.start(role, [*self._arguments(role), *(["--returning"] if role != "amplifier" else [])])
+
+    def _answer(self) -> None:
+        """Tell those who have returned what they missed, once all that was said before they were connected is here.
+
+        A stream's messages come in order: one that was sent after the question comes after all that was sent before.
+        """
+        for role, stamp in list(self._returned.items()):
+            others = [other for other in self._roles if other != role and self._wellness.is_back(other)]
+            if all(self._newest.get(other, stamp) > stamp for other in others):
+                self._peer.push(self.memory.recall(role))
+                del self._returned[role]
+
+    def _pause_or_resume(self, now: float) -> None:
+        """The stimulus goes on only while everybody hears everybody and all of it is recorded."""
+        if self._heard.start is None or self._heard.end is not None:
+            return
+        troubles = self._wellness.troubles() + self._unrecorded()
+        if troubles and self.waits_for is None:
+            self._note("warning", f"The session waits. {troubles[0]}")
+        if bool(troubles) != (self.waits_for is not None):
+            self._commanded_at = 0.0
+        self.waits_for = troubles[0] if troubles else None
+        if (troubles or self._heard.is_paused) and now - self._commanded_at > AGAIN_S:
+            self._commanded_at = now
+            command: Literal["pause", "resume"] = "pause" if troubles else "resume"
+            self._peer.push(Command(session=self._peer.session, command=command, text=self.waits_for or ""))
+
+    def _unrecorded(self) -> list[str]:
+        """Streams of processes that were started again and haven't come into the file yet."""
+        found = self._follower.n_chunks
+        for source, chunks in self._awaited.items():
+            role = next(spec.role for spec in STREAMS if spec.source_id(self._peer.session) == source)
+            if chunks < 0 and self._wellness.is_back(role):
+                self._awaited[source] = found[source] + 1  # what is written from now on is the new process's
+        self._awaited = {source: n for source, n in self._awaited.items() if n < 0 or found[source] < n}
+        return [f"The recorder doesn't hear {source.rsplit('/')[-1]} yet." for source in self._awaited]
+
+    def _note(self, level: Literal["warning", "error"], text: str) -> None:
+        self._peer.note(level, text)
+        self._heard.notes.append(f"session: {text}")
