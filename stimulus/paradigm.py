@@ -104,6 +104,7 @@ class Paradigm:
         self._is_enough = False  # no block is to come after the one under way
         self._eye_task = -1
         self._action: int | None = None  # of the coming move
+        self._last_action: tuple[int, int, str] | None = None  # episode, step and what it is
         self._pause: Pause | None = None  # the last
         self._pause_to_come: Pause | None = None
         self._paused_in = Phase.READY
@@ -242,13 +243,22 @@ class Paradigm:
         self._wait(Phase.ARROW, onset + self._times.arrow_s)
 
     def offer_action(self, action: Action) -> str | None:
-        """Take the policy's action for the coming move. None when taken, else a sentence why it is refused."""
+        """Take the policy's action for the coming move. None when taken, else a sentence why it is refused.
+
+        The same action said twice, by a policy that was started again, is no trouble.
+        """
+        if action.session == self.session and (action.episode, action.step, action.action) == self._last_action:
+            return None
         problem = self._refusal(action)
         if problem is None:
-            self._action = ACTIONS.index(action.action)
+            self._take_action(action)
             if self._phase is Phase.HOLD:
                 self._phase = Phase.COUNTDOWN  # its time is over, so the next update jumps
         return problem
+
+    def _take_action(self, action: Action) -> None:
+        self._action = ACTIONS.index(action.action)
+        self._last_action = action.episode, action.step, action.action
 
     def take_verdict(self, verdict: Verdict, now: float) -> None:
         """Hear whether a move's epoch is valid; one of this block that was rejected is repeated at its end."""
@@ -355,7 +365,7 @@ class Paradigm:
         self._pause = Pause(session=self.session, reason=reason, by_person=by_person)
         action_to_come = actions.get((self._walk.number, self._walk.steps + 1))
         if self._running and action_to_come is not None and not self._end_reason():
-            self._action = ACTIONS.index(action_to_come.action)
+            self._take_action(action_to_come)
         self.tell_where(now)
         self._send(self._pause, now)
 

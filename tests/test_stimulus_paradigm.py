@@ -492,13 +492,14 @@ def test_actions_that_do_not_fit_are_refused_with_a_sentence() -> None:
     assert "step 1 of episode 0" in str(paradigm.offer_action(action(1, 1, towards)))
     assert "session 's'" in str(paradigm.offer_action(action(0, 1, towards, session="other")))
     assert paradigm.offer_action(action(0, 1, towards)) is None
-    assert "again" in str(paradigm.offer_action(action(0, 1, towards)))
+    assert paradigm.offer_action(action(0, 1, towards)) is None  # the very same: from a policy that was started again
+    assert "again" in str(paradigm.offer_action(action(0, 1, away)))
     paradigm.update(101.0)
     paradigm.update(102.0)
     assert paradigm.awaiting_flip
     assert "no action now" in str(paradigm.offer_action(action(0, 2, towards)))
     paradigm.flipped(102.0)
-    assert "step 2" in str(paradigm.offer_action(action(0, 1, towards)))
+    assert "step 2" in str(paradigm.offer_action(action(0, 1, away)))
     assert paradigm.offer_action(action(0, 2, towards)) is None
     runner.all()
     assert paradigm.done

@@ -1,0 +1,111 @@
+"""What was said: what a process that was started again is told of it, and what nobody remembers is void."""
+
+from bci_app.protocol import (
+    Action,
+    Continued,
+    Electrodes,
+    EpisodeEnd,
+    EpisodeStart,
+    Message,
+    MoveOnset,
+    Note,
+    SessionStart,
+    Status,
+    Truth,
+    Verdict,
+)
+from bci_app.said import Memory, is_void, without_void
+
+NOTHING = (False,) * 5
+
+
+def opening() -> SessionStart:
+    return SessionStart(session="s", task="online", participant="P", map="open", layout=["..."], n_episodes=2)
+
+
+def start(episode: int) -> EpisodeStart:
+    return EpisodeStart(session="s", episode=episode, position=(0, 0), sensed=NOTHING, max_steps=60)
+
+
+def move(episode: int, step: int, action: str = "east") -> MoveOnset:
+    fields = {"episode": episode, "step": step, "action": action, "position": (0, step), "sensed": NOTHING}
+    return MoveOnset.model_validate({"session": "s", **fields})
+
+
+def verdict(episode: int, step: int) -> Verdict:
+    return Verdict(session="s", episode=episode, step=step, outcome="error", clock_offset=0.0)
+
+
+def chosen(episode: int, step: int) -> Action:
+    fields = {"episode": episode, "step": step, "action": "east", "probabilities": (0, 0, 0, 1), "verdict": "error"}
+    return Action.model_validate({"session": "s", **fields})
+
+
+def end(episode: int) -> EpisodeEnd:
+    return EpisodeEnd(session="s", episode=episode, steps=2, reason="goal")
+
+
+STORY: list[Message] = [
+    opening(),
+    start(0),
+    chosen(0, 1),
+    move(0, 1),
+    verdict(0, 1),
+    chosen(0, 2),
+    move(0, 2),
+    verdict(0, 2),
+    end(0),
+    start(1),
+    Electrodes(session="s", episode=1),
+    chosen(1, 1),
+    move(1, 1),
+]
+
+
+def told(memory: Memory, role: str) -> list[Message]:
+    return [item.message for item in memory.recall(role).said]  # type: ignore[arg-type]
+
+
+def memory_of(messages: list[Message]) -> Memory:
+    memory = Memory("s")
+    for stamp, message in enumerate(messages):
+        memory.take(float(stamp), message)
+    return memory
+
+
+def test_each_is_told_what_it_must_know() -> None:
+    noise: list[Message] = [
+        Status(session="s", role="decoder", state="ready"),
+        Note(session="s", role="decoder", level="info", text="hello"),
+        Truth(session="s", episode=1, step=1, error=True, distance=3),
+    ]
+    memory = memory_of([*STORY, *noise])
+    assert told(memory, "stimulus") == STORY
+    assert told(memory, "policy") == [opening(), start(1), chosen(1, 1), move(1, 1)]
+    assert told(memory, "decoder") == [opening(), start(1), STORY[10], move(1, 1)]
+    assert told(Memory("s"), "policy") == []
+
+
+def test_it_is_told_in_the_order_of_the_stamps() -> None:
+    memory = Memory("s")
+    memory.take(5.0, verdict(0, 1))
+    memory.take(4.0, move(0, 1))
+    memory.take(3.0, start(0))
+    assert told(memory, "policy") == [start(0), move(0, 1), verdict(0, 1)]
+
+
+def test_what_came_after_the_place_where_it_goes_on_is_void() -> None:
+    here = Continued(session="s", episode=0, step=1)
+    void = [message for message in STORY if is_void(message, here)]
+    assert void == [move(0, 2), verdict(0, 2), end(0), start(1), STORY[10], chosen(1, 1), move(1, 1)]
+    after = [move(0, 2, "west"), end(0)]
+    kept = without_void([*STORY, here, *after], lambda message: message)
+    assert kept == [*STORY[:6], here, *after]
+    memory = memory_of([*STORY, here, *after])
+    assert told(memory, "stimulus") == [*STORY[:6], *after]
+
+
+def test_an_episode_that_ended_stays_ended() -> None:
+    between = Continued(session="s", episode=1, step=0)
+    assert not any(is_void(message, between) for message in STORY[:10])
+    assert is_void(move(1, 1), between)
