@@ -239,3 +239,18 @@ def test_gaps_in_even_stamps_are_found_and_counted(sfreq: float, lost: int, plac
     assert found is not None
     assert found[0] == first
     assert found[1] == pytest.approx(lost, abs=1)
+
+
+def test_void_moves_may_come_again_and_judged_ones_are_known() -> None:
+    samples, times = recording(30)
+    buffer: EpochBuffer[tuple[int, int]] = EpochBuffer(SHAPE, 3, capacity_s=30)
+    buffer.know((0, 1))
+    assert not buffer.expect((0, 1), 5010.0)
+    assert buffer.expect((0, 2), 5031.0)
+    assert buffer.expect((0, 3), 5033.0)
+    buffer.push(samples, times)
+    buffer.forget(lambda key: key > (0, 2))
+    assert buffer.n_waiting == 1
+    assert buffer.expect((0, 3), 5012.0)
+    assert [key for key, _ in buffer.poll()] == [(0, 3)]
+    assert not buffer.expect((0, 1), 5010.0)
