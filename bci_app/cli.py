@@ -233,6 +233,30 @@ def demo(
         raise typer.Exit(1)
 
 
+@app.command(rich_help_panel="In the lab")
+def drill(
+    fault: Annotated[
+        list[str] | None, typer.Option("--fault", help="One of the faults, as 'policy killed'; default: all of them.")
+    ] = None,
+    sessions: Annotated[int, typer.Option("--sessions", min=1, help="Sessions of each fault.")] = 1,
+    speed: SpeedOption = 20.0,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of moments and participants.")] = 1,
+    config: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Let things go wrong in simulated sessions, and tell what was survived: before a study, and after a change."""
+    from bci_app import drill as drilling
+
+    with progress_bar(as_json) as progress:
+        rows = drilling.run(configuration.load(config), fault or [], sessions, speed, seed, progress)
+    if as_json:
+        print_json(rows)
+    else:
+        drilling.show(rows, Console())
+    if not all(drilling.is_good(row) for row in rows):
+        raise typer.Exit(1)
+
+
 @app.command("rehearse", rich_help_panel="Afterwards")
 def rehearse_recording(
     recording: Annotated[Path, typer.Option("--from", help="The recorded calibration (.xdf) of the person.")],

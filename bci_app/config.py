@@ -204,6 +204,12 @@ class SimulationConfig(Section):
     """Real seconds of samples a push (decided; 5-30 ms are advised)."""
     dead: tuple[str, ...] = ()
     """Channels whose electrodes are off: all they deliver is an input's noise."""
+    drop_outs: tuple[tuple[Seconds, Seconds], ...] = ()
+    """Beginnings and lengths, real seconds after the session's start, of times in which no sample is delivered."""
+    disconnects: tuple[tuple[Seconds, Seconds], ...] = ()
+    """The same, but the stream is gone from the network as well."""
+    packet_loss: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Share of packets, of `chunk_s` each, that are lost on their way, in bursts of five in the mean."""
     background: str | None = None
     """Path of a recording (EDF, XDF, ...) whose EEG replaces the synthetic background."""
     rehearse: str | None = None

@@ -57,6 +57,10 @@ class Crew:
         self._processes[role].kill()
         self._processes[role].wait()
 
+    def stop(self, role: Role) -> None:
+        """Have a process hang, for a drill."""
+        self._processes[role].send_signal(signal.SIGSTOP)
+
     def _failure(self, role: Role, code: int) -> Exception:
         path = self._logs / f"{role}.log"
         lines = path.read_text(encoding="utf-8", errors="replace").strip().splitlines()

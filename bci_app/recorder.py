@@ -97,6 +97,16 @@ class Recorder:
         """Bytes in the file so far."""
         return self.path.stat().st_size if self.path.exists() else 0
 
+    def kill(self) -> None:
+        """End LabRecorder in the middle of its work, for a drill."""
+        assert self._process is not None
+        self._process.kill()
+
+    def hang(self) -> None:
+        """Have LabRecorder hang, as by a full or lost disk, for a drill."""
+        assert self._process is not None
+        self._process.send_signal(signal.SIGSTOP)
+
     def stop(self) -> None:
         """Close the file. Raises LinkLost when LabRecorder had died before, or hangs: then it is killed."""
         process = self._process

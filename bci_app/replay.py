@@ -4,7 +4,7 @@ What is decided about the electrodes, and verdicts, are recomputed from the reco
 the recorded moves and the recomputed verdicts, so a difference anywhere in the chain shows.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -16,7 +16,7 @@ from bci_app.errors import SetupError
 from bci_app.gridworld import GridWorld, compile_map
 from bci_app.moves import cut_moves, electrodes, judges
 from bci_app.progress import Progress
-from bci_app.protocol import Action, Electrodes, EpisodeEnd, EpisodeStart, MoveOnset, SessionStart, Verdict
+from bci_app.protocol import Action, Electrodes, EpisodeEnd, EpisodeStart, MoveOnset, SessionEnd, SessionStart, Verdict
 from bci_app.recording import Recording, read
 from bci_app.runs import check_untouched, checksum, eeg_type, read_sidecar
 from bci_app.told import Told
@@ -116,7 +116,7 @@ def _verdicts(
     path = _file_of_run(recording.path, sidecar, "model", model)
     recorded = {(verdict.episode, verdict.step): verdict for _, verdict in recording.of(Verdict)}
     session = next(iter(recorded.values())).session if recorded else ""
-    unfinished = _last_of_aborted(recording)
+    unfinished = _unfinished(recording, max(recorded, default=(0, 0)))
     eeg = recording.eeg
     judge = judge_with(load(path), config, eeg, session) if path else judge_without(config, eeg, session)
     bad = {pair.key: pair.replayed for pair in decisions if isinstance(pair.replayed, Electrodes)}
@@ -128,7 +128,7 @@ def _verdicts(
             # When the samples came isn't in the file; the decoder said that this was the reason, so it is taken over.
             yield Compared(key, before, before)
             continue
-        if before is None and key in unfinished:
+        if before is None and unfinished(key):
             continue
         yield Compared(key, before, judge_of(key).verdict(key, result, move.clock_offset))
 
@@ -156,7 +156,7 @@ def _actions(
     ear = Ear(Verdicts.parse(card.verdicts), Told.parse(told) if told else None)
     navigator = Navigator(Agent(network, ear, world), world, opening.session)
     recorded = {(action.episode, action.step): action for _, action in recording.of(Action)}
-    unfinished = _last_of_aborted(recording)
+    unfinished = _unfinished(recording, max(recorded, default=(0, 0)))
     replayed = {pair.key: pair.replayed for pair in verdicts}
     action: Action | None
     for item in recording.messages:
@@ -168,7 +168,7 @@ def _actions(
                 verdict = replayed.get(key)
                 judged = verdict if isinstance(verdict, Verdict) else None
                 action = navigator.again(onset, judged, is_without(recorded.get(following)))
-                if key in unfinished and following not in recorded:
+                if following not in recorded and (unfinished(key) or unfinished(following)):
                     continue
             case _:
                 continue
@@ -184,13 +184,19 @@ def _told_by(model: Path | None) -> str | None:
     return str(load(model).info.evidence.told) if model else None
 
 
-def _last_of_aborted(recording: Recording) -> set[Key]:
-    """The last move of a run that was stopped: its verdict or the action after it may never have been made."""
+def _unfinished(recording: Recording, newest: Key) -> Callable[[Key], bool]:
+    """Of which moves the answer may never have been made, or recorded: the last of an episode that was broken off and,
+    where the recording has no end, all after the ``newest`` that has one."""
     aborted = {end.episode for _, end in recording.of(EpisodeEnd) if end.reason == "aborted"}
     last: dict[int, int] = {}
     for _, move in recording.of(MoveOnset):
         last[move.episode] = max(move.step, last.get(move.episode, 0))
-    return {(episode, step) for episode, step in last.items() if episode in aborted}
+    has_end = bool(recording.of(SessionEnd))
+
+    def unfinished(key: Key) -> bool:
+        return (key[0] in aborted and last.get(key[0]) == key[1]) or (not has_end and key > newest)
+
+    return unfinished
 
 
 def _file_of_run(recording: Path, sidecar: dict[str, Any], what: str, given: Path | None) -> Path | None:

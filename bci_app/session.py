@@ -51,8 +51,10 @@ RECORDED_WITHIN_S = 8.0
 """Real seconds until every stream that speaks has come into a new file: LabRecorder asks for clocks first."""
 HALT_TIMEOUT_S = 10.0
 """Real seconds a move under way may take until the run is stopped without waiting for its end."""
+FIR_CYCLES = 3.3
+"""Length of the chain's FIR in periods of its lowest frequency (MNE's rule)."""
 LEAD_CYCLES = 4.5
-"""EEG recorded before the first move, in periods of the chain's lowest frequency: its FIR is 3.3 long (MNE's rule)."""
+"""EEG recorded before the first move, in the same periods."""
 LEAD_S = 8.0
 """Session seconds of EEG recorded before the first message, at least: the electrodes are judged on the last six."""
 REJECTED_IN_A_ROW = 10
@@ -84,6 +86,7 @@ class Plan:
     remote : roles started by hand on other machines.
     session : id the remote processes were started with; drawn when there are none.
     look : how to look at a calibration after each of its blocks.
+    disturb : what a drill does to the run, asked again and again while it lasts.
     """
 
     run: Run
@@ -99,6 +102,7 @@ class Plan:
     remote: frozenset[Role] = frozenset()
     session: str | None = None
     look: Look | None = None
+    disturb: "Disturb | None" = None
 
     @property
     def roles(self) -> tuple[Role, ...]:
@@ -106,6 +110,19 @@ class Plan:
         roles: list[Role] = ["amplifier"] if self.simulate else []
         roles += ["decoder", "policy", "stimulus"] if self.task == "online" else ["decoder", "stimulus"]
         return tuple(roles)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What a drill may lay hands on."""
+
+    crew: Crew
+    recorder: Recorder
+    heard: Heard
+    supervisor: Supervisor
+
+
+Disturb = Callable[[Stage], None]
 
 
 def conduct(plan: Plan, progress: Progress) -> Outcome:
@@ -170,7 +187,7 @@ class _Conductor:
         self.sidecar: dict[str, Any] = {}
         self.follower = Follower(plan.run.xdf)
         self.supervisor = Supervisor(
-            plan.roles, plan.remote, self._arguments, self.peer, self.crew, self.heard, self.follower
+            plan.roles, plan.remote, self._arguments, self.peer, self.crew, self.heard, self.follower, self._lead_s()
         )
         self.ended_at: float | None = None
         self.size = 0
@@ -180,6 +197,12 @@ class _Conductor:
         self.seen: list[Seen] = []
         self.missing: list[str] = []
         """What was heard and is not in the file, in sentences; known once it is closed."""
+
+    def _lead_s(self) -> float:
+        """Real seconds of EEG that must be recorded before a pause ends: the rest comes until the next move."""
+        stimulus = self.config.stimulus
+        until_move = stimulus.rest_s + stimulus.countdown_s
+        return max(0.0, FIR_CYCLES / self.config.chain.low_hz - until_move) / self.clock.speed
 
     # Before the first move.
 
@@ -246,6 +269,7 @@ class _Conductor:
         specs += [AMPLIFIER_NOTES] if self.plan.simulate else []
         streams = [{"source_id": spec.source_id(self.session)} for spec in specs]
         streams.append({"name": eeg.name, "type": self.config.eeg.stream_type, "source_id": eeg.source_id})
+        self.supervisor.eeg_source = eeg.source_id
         recorder = self.recorder = Recorder(self.plan.run.xdf, streams)
         recorder.start()
         sources = [stream["source_id"] for stream in streams if stream["source_id"] not in self._silent_sources()]
@@ -271,6 +295,8 @@ class _Conductor:
                 self.peer.push(Command(session=self.session, command="start"))
             self.peer.say("running")
             self._listen(timeout=0.05)
+            if self.plan.disturb is not None and self.recorder is not None:
+                self.plan.disturb(Stage(self.crew, self.recorder, self.heard, self.supervisor))
             self.supervisor.tend()
             self._check()
             self._look_ahead()

@@ -14,6 +14,8 @@ from bci_app.said import Memory
 from bci_app.wellness import HANGS_S, MOST_FAILURES, WITHIN_S, Wellness
 from bci_app.xdf import Follower
 
+EEG_PAUSE_S = 1.2
+"""Real seconds without EEG in the file that are no accident of its writing, every half second (decided)."""
 AGAIN_S = 0.5
 """Real seconds after which a command that had no effect yet is said again."""
 
@@ -28,6 +30,7 @@ class Supervisor:
     arguments : the command line of each.
     peer : says what is wrong, and commands the stimulus.
     follower : tells which streams come into the recording.
+    lead_s : real seconds of EEG that must be recorded, without a gap, when the stimulus goes on.
     """
 
     def __init__(
@@ -39,18 +42,28 @@ class Supervisor:
         crew: Crew,
         heard: Heard,
         follower: Follower,
+        lead_s: float,
     ) -> None:
         self._roles, self._remote, self._arguments = roles, remote, arguments
         self._peer, self._crew, self._heard, self._follower = peer, crew, heard, follower
         self._clock: Clock = peer.clock
+        self._lead_s = lead_s
+        self.eeg_source = ""
+        """Source id of the EEG, once it is known."""
+        self._n_eeg = 0  # chunks of it in the file,
+        self._eeg_grew_at = self._eeg_since = 0.0  # when the last came, and since when they came one after the other
+        self._is_eeg_short = False  # in the file, before the next move
         self._wellness = Wellness(roles, "policy" not in roles)
         self.memory = Memory(peer.session)
         self._newest: dict[Role, float] = {}  # stamp of the last word of each process
         self._returned: dict[Role, float] = {}  # stamps at which processes asked what they had missed
         self._awaited: dict[str, int] = {}  # by source id: chunks that must be in the file; -1 where not known yet
         self._commanded_at = 0.0
+        self._is_waited_for = False
         self.waits_for: str | None = None
         """Why the stimulus must wait, in a sentence; None while it needn't."""
+        self.went_on_at = 0.0
+        """Real time at which the stimulus last went on after it had to wait."""
 
     def take(self, role: Role, item: Received) -> None:
         """Take in a message of a process."""
@@ -64,10 +77,23 @@ class Supervisor:
     def tend(self) -> None:
         """Do what is to be done now. Raises SetupError or LinkLost for what can't be mended."""
         now = local_clock()
+        self._follow_eeg(now)
         for role, how in self._failures(now).items():
             self._start_again(role, how, now)
         self._answer()
         self._pause_or_resume(now)
+
+    def _follow_eeg(self, now: float) -> None:
+        """The recorder may find a stream that was gone later than the decoder does."""
+        n_eeg = self._follower.n_chunks[self.eeg_source]
+        if n_eeg == self._n_eeg:
+            self._is_eeg_short |= now - self._eeg_grew_at > EEG_PAUSE_S
+            return
+        if now - self._eeg_grew_at > EEG_PAUSE_S:
+            self._eeg_since = now
+        self._n_eeg, self._eeg_grew_at = n_eeg, now
+        if now - self._eeg_since > self._lead_s:
+            self._is_eeg_short = False
 
     def _failures(self, now: float) -> dict[Role, str]:
         """Processes that have died, or hang and have been ended, and how."""
@@ -111,6 +137,10 @@ class Supervisor:
         if bool(troubles) != (self.waits_for is not None):
             self._commanded_at = 0.0
         self.waits_for = troubles[0] if troubles else None
+        if troubles:
+            self._is_waited_for = True
+        elif self._is_waited_for and not self._heard.is_paused:
+            self._is_waited_for, self.went_on_at = False, now
         if (troubles or self._heard.is_paused) and now - self._commanded_at > AGAIN_S:
             self._commanded_at = now
             command: Literal["pause", "resume"] = "pause" if troubles else "resume"
@@ -124,7 +154,8 @@ class Supervisor:
             if chunks < 0 and self._wellness.is_back(role):
                 self._awaited[source] = found[source] + 1  # what is written from now on is the new process's
         self._awaited = {source: n for source, n in self._awaited.items() if n < 0 or found[source] < n}
-        return [f"The recorder doesn't hear {source.rsplit('/')[-1]} yet." for source in self._awaited]
+        names = [source.rsplit("/")[-1] for source in self._awaited] + (["the EEG"] if self._is_eeg_short else [])
+        return [f"The recorder doesn't hear {name} yet." for name in names]
 
     def _note(self, level: Literal["warning", "error"], text: str) -> None:
         self._peer.note(level, text)

@@ -64,8 +64,8 @@ def _short(value: Any) -> str:
     return f"{value:.3f}" if isinstance(value, float) else str(value)
 
 
-def print_json(result: dict[str, Any]) -> None:
-    """Print one JSON object on stdout."""
+def print_json(result: dict[str, Any] | list[dict[str, Any]]) -> None:
+    """Print a result on stdout as JSON."""
     typer.echo(json.dumps(result, indent=2))
 
 

@@ -18,7 +18,7 @@ from bci_app.progress import Progress
 from bci_app.protocol import Role
 from bci_app.recording import read
 from bci_app.runs import check_label, new_run
-from bci_app.session import Plan, Task, conduct
+from bci_app.session import Disturb, Plan, Task, conduct
 
 MIN_SPEED = 0.1
 SESSION_ID = re.compile(r"[A-Za-z0-9_-]+\Z")
@@ -42,6 +42,7 @@ class Wishes:
     seed : of the run; None draws one.
     session : session id, needed with `remote`.
     remote : roles started by hand on other machines.
+    disturb : what a drill does to the run.
     """
 
     config: Config
@@ -52,6 +53,7 @@ class Wishes:
     seed: int | None = None
     session: str | None = None
     remote: tuple[str, ...] = ()
+    disturb: Disturb | None = None
 
 
 def calibrate(wishes: Wishes, progress: Progress, look: Look | None = None) -> dict[str, Any]:
@@ -231,6 +233,7 @@ def _plan(wishes: Wishes, task: Task, map_name: str, model: Path | None = None, 
         policy=policy,
         remote=frozenset(role for role in get_args(Role) if role in wishes.remote),
         session=wishes.session,
+        disturb=wishes.disturb,
     )
 
 

@@ -8,9 +8,17 @@ from bci_app.clock import Clock
 from bci_app.config import Config, SimulationConfig
 from bci_app.eeg import EegDescription
 from bci_app.errors import SetupError
-from bci_app.lsl import EegOutlet, MessageInlet
+from bci_app.lsl import EegOutlet, MessageInlet, local_clock
 from bci_app.peer import Peer
-from bci_app.protocol import AMPLIFIER_NOTES, STIMULUS, TRUTH, SessionEnd, Truth, simulated_source_id
+from bci_app.protocol import (
+    AMPLIFIER_NOTES,
+    STIMULUS,
+    TRUTH,
+    SessionEnd,
+    SessionStart,
+    Truth,
+    simulated_source_id,
+)
 from decoder.background import read_background
 from decoder.montage import match_channels
 from decoder.participant import Participant, Person
@@ -19,6 +27,8 @@ from decoder.rehearsal_file import load
 
 INPUT_NOISE_UV = 0.2
 """Standard deviation of an amplifier's own noise, uV (decided; 0.1 to 0.5 are usual)."""
+BURST = 5
+"""Packets lost in a row, in the mean (decided)."""
 LOOK_EVERY = 10
 """Rounds between two looks for the stimulus's streams, while they are not found: a look takes time from the play."""
 
@@ -74,7 +84,10 @@ class _Player:
             types=("EEG",) * n_channels,
             sfreq=self._participant.sfreq,
         )
-        self._outlet = EegOutlet(description, peer.session)
+        self._description = description
+        self._outlet: EegOutlet | None = EegOutlet(description, peer.session)
+        self._began: float | None = None  # real time of the session's start
+        self._is_in_burst = False
         self._truth: MessageInlet | None = None
         self._stimulus: MessageInlet | None = None
         self._rounds = 0
@@ -107,6 +120,8 @@ class _Player:
                     self._peer.note("error", text)
         for item in self._peer.hear(self._stimulus) if self._stimulus else ():
             self.ended |= isinstance(item.message, SessionEnd)
+            if isinstance(item.message, SessionStart):
+                self._began = local_clock()
 
     def _n_acquired(self) -> int:
         """Samples acquired up to now less the amplifier's own delay."""
@@ -123,5 +138,27 @@ class _Player:
             samples = samples.copy()  # the participant keeps what it has rendered
             samples[:, self._dead] = self._noise.normal(0, INPUT_NOISE_UV, (n_new, len(self._dead)))
         stamps = self._t0 + np.arange(self._played, self._played + n_new) / self._participant.sfreq
-        self._outlet.push(samples, stamps)
         self._played += n_new
+        self._connect_or_not()
+        if self._outlet is not None and not self._is_within(self._config.drop_outs) and not self._is_lost():
+            self._outlet.push(samples, stamps)
+
+    def _is_within(self, times: tuple[tuple[float, float], ...]) -> bool:
+        """Whether now is one of (beginning, length), s after the session's start."""
+        since = -1.0 if self._began is None else local_clock() - self._began
+        return any(begins <= since < begins + length for begins, length in times)
+
+    def _connect_or_not(self) -> None:
+        if self._is_within(self._config.disconnects):
+            self._outlet = None
+        elif self._outlet is None:
+            self._outlet = EegOutlet(self._description, self._peer.session)
+
+    def _is_lost(self) -> bool:
+        """Whether this packet is lost: a burst begins and ends by chance, so that the share is as configured."""
+        share = self._config.packet_loss
+        if self._began is None or not share:
+            return False
+        ends, begins = 1 / BURST, share / (1 - share) / BURST
+        self._is_in_burst = self._noise.random() < (1 - ends if self._is_in_burst else begins)
+        return self._is_in_burst

@@ -1,0 +1,260 @@
+"""Faults against live simulated sessions: what dies, hangs or drops out, what was survived, and how long it took.
+
+A session survives a fault when it is complete, everything that was heard is in its recording, and every action is the
+one the replay finds, which knows nothing of the fault. One without its recorder survives when it ends by itself, at a
+rest, and what was recorded until then is readable.
+"""
+
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from random import Random
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from bci_app import fitting, verbs
+from bci_app import replay as replaying
+from bci_app.config import Config
+from bci_app.errors import LinkLost, SetupError
+from bci_app.heard import Heard
+from bci_app.lsl import local_clock
+from bci_app.moves import cut_moves
+from bci_app.progress import Progress, named
+from bci_app.protocol import MoveOnset, Role, Verdict
+from bci_app.recording import Recording, read
+from bci_app.session import Stage
+from bci_app.supervisor import Supervisor
+
+PARTICIPANT = "DRILL"
+SHORT = {"calibration": {"n_blocks": 2, "moves_per_block": 20, "break_s": 1.0}, "online": {"distances": [2, 8]}}
+"""A session of a drill: some 40 moves."""
+DROP_OUT_S = (0.1, 30.0)
+"""Shortest and longest real seconds for which an amplifier drops out, even in their logarithm."""
+RECORDED_S = 1.0
+"""Real seconds before the end of its recorder of which a session may miss what was said."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something that goes wrong at a random moment.
+
+    Attributes
+    ----------
+    act : what is done then; None where the simulated amplifier does it by itself.
+    settings : of that amplifier, from a generator of chance and the moment.
+    ends_run : whether the run can't go on.
+    """
+
+    act: Callable[[Stage], None] | None = None
+    settings: Callable[[Random, float], dict[str, Any]] = lambda _rng, _at: {}
+    ends_run: bool = False
+
+
+def _kill(role: Role) -> Fault:
+    return Fault(lambda stage: stage.crew.kill(role))
+
+
+def _hang(role: Role) -> Fault:
+    return Fault(lambda stage: stage.crew.stop(role))
+
+
+def _gone(rng: Random) -> float:
+    low, high = DROP_OUT_S
+    return float(low * (high / low) ** rng.random())
+
+
+FAULTS: dict[str, Fault] = {
+    "stimulus killed": _kill("stimulus"),
+    "decoder killed": _kill("decoder"),
+    "policy killed": _kill("policy"),
+    "amplifier killed": _kill("amplifier"),
+    "stimulus hangs": _hang("stimulus"),
+    "decoder hangs": _hang("decoder"),
+    "policy hangs": _hang("policy"),
+    "amplifier drops out": Fault(settings=lambda rng, at: {"drop_outs": [[at, _gone(rng)]]}),
+    "amplifier disconnects": Fault(settings=lambda rng, at: {"disconnects": [[at, _gone(rng)]]}),
+    "1 % of packets lost": Fault(settings=lambda _rng, _at: {"packet_loss": 0.01}),
+    "5 % of packets lost": Fault(settings=lambda _rng, _at: {"packet_loss": 0.05}),
+    "recorder killed": Fault(lambda stage: stage.recorder.kill(), ends_run=True),
+    "recorder hangs": Fault(lambda stage: stage.recorder.hang(), ends_run=True),
+}
+
+
+@dataclass
+class _Saboteur:
+    """Acts once, at a moment of a run; remembers what it needs to judge what came of it."""
+
+    fault: Fault
+    at: float
+    """Real seconds after the run's first message."""
+    began: float | None = None
+    acted: float | None = None
+    path: Path | None = None
+    heard: Heard | None = None
+    supervisor: Supervisor | None = None
+    _known: list[tuple[float, int]] = field(default_factory=list)  # how many moves were heard of, by real time
+
+    def __call__(self, stage: Stage) -> None:
+        now = local_clock()
+        self.path, self.heard, self.supervisor = stage.recorder.path, stage.heard, stage.supervisor
+        if stage.heard.start is None or stage.heard.end is not None:
+            return
+        self.began = self.began or now
+        self._known.append((now, stage.heard.moves))
+        if self.acted is None and now - self.began >= self.at:
+            self.acted = now
+            if self.fault.act is not None:
+                self.fault.act(stage)
+
+    def n_moves_before(self) -> int:
+        """Moves heard of so long before the fault that they must have been recorded."""
+        by = self.acted - RECORDED_S if self.acted is not None else float("inf")
+        return max((n_moves for when, n_moves in self._known if when <= by), default=0)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one session.
+
+    Attributes
+    ----------
+    moves_lost : moves that were heard of and aren't in the recording.
+    wrong_actions : actions, and verdicts, that the replay finds otherwise.
+    epochs_lost : whole epochs in the recording that got no verdict.
+    recovery_s : real seconds from the fault until the stimulus went on; None where it never had to wait.
+    text : what went wrong, where something did.
+    """
+
+    survived: bool
+    moves_lost: int
+    wrong_actions: int
+    epochs_lost: int
+    recovery_s: float | None
+    text: str
+
+
+def run(
+    config: Config, names: Sequence[str], n_sessions: int, speed: float, seed: int, progress: Progress
+) -> list[dict[str, Any]]:
+    """Drill each fault in `n_sessions` sessions; a row each. Recordings of sessions that survived are not kept."""
+    unknown = sorted(set(names) - set(FAULTS))
+    if unknown:
+        raise SetupError(f"--fault must be one of {', '.join(FAULTS)}; found {', '.join(unknown)}.")
+    folder = Path(tempfile.mkdtemp(prefix="bci-app-drill-"))
+    settings = config.model_dump(mode="json") | {"recordings": str(folder)}
+    for section, values in SHORT.items():
+        settings[section] |= values
+    settings["stimulus"]["headless"] = True
+    short = Config.model_validate(settings)
+    wishes = verbs.Wishes(short, PARTICIPANT, simulate=True, speed=speed, seed=seed)
+    model = _decoder(replace(wishes, speed=max(speed, 20.0)), progress)
+    rng, rows = Random(seed), []
+    for number, name in enumerate(names or FAULTS):
+        told = named(progress, f"{number + 1}/{len(names or FAULTS)} {name}")
+        outcomes = [_session(wishes, model, name, rng, told) for _ in range(n_sessions)]
+        rows.append(_row(name, outcomes))
+    if all(is_good(row) for row in rows):
+        shutil.rmtree(folder)
+    return rows
+
+
+def is_good(row: dict[str, Any]) -> bool:
+    """Whether nothing was lost."""
+    return row["survived"] == row["sessions"] and not row["moves_lost"] and not row["wrong_actions"]
+
+
+def _decoder(wishes: verbs.Wishes, progress: Progress) -> Path:
+    calibration = wishes.config.calibration.model_copy(update={"n_blocks": 2, "moves_per_block": 60})
+    longer = replace(wishes, config=wishes.config.model_copy(update={"calibration": calibration}))
+    told = verbs.calibrate(longer, named(progress, "calibrating"))
+    return Path(fitting.fit(Path(told["recording"]), wishes.config, False, progress)["model"])
+
+
+def _session(wishes: verbs.Wishes, model: Path, name: str, rng: Random, progress: Progress) -> Outcome:
+    fault = FAULTS[name]
+    at = rng.uniform(0.5, 100 / wishes.speed)
+    simulation = wishes.config.simulation.model_dump(mode="json") | fault.settings(rng, at)
+    settings = wishes.config.model_dump(mode="json") | {"simulation": simulation}
+    saboteur = _Saboteur(fault, at)
+    wish = replace(wishes, config=Config.model_validate(settings), seed=rng.randrange(2**31), disturb=saboteur)
+    is_calibration = "policy" not in name and rng.random() < 0.5
+    ended = ""
+    try:
+        if is_calibration:
+            verbs.calibrate(wish, progress)
+        else:
+            verbs.online(wish, "open", model, "told", True, progress)
+    except LinkLost as error:
+        ended = str(error)
+    return _judged(saboteur, ended)
+
+
+def _judged(saboteur: _Saboteur, ended: str) -> Outcome:
+    assert saboteur.path is not None
+    assert saboteur.heard is not None
+    assert saboteur.supervisor is not None
+    fault, path = saboteur.fault, saboteur.path
+    recording = read(path, allow_damage=True)
+    replayed = replaying.replay(path, None, None, True, lambda *_: None)
+    counts = replayed["replay"]
+    wrong = sum(counts[what] - counts[f"{what}_equal"] for what in ("electrodes", "verdicts", "actions"))
+    expected = saboteur.n_moves_before() if fault.ends_run else saboteur.heard.moves
+    lost = max(0, expected - len(recording.of(MoveOnset)))
+    complete = saboteur.heard.end is not None and saboteur.heard.end.reason == "complete" and not ended
+    survived = bool(ended) if fault.ends_run else complete
+    went_on, acted = saboteur.supervisor.went_on_at, saboteur.acted
+    recovery = went_on - acted if acted is not None and went_on > acted else None
+    text = "; ".join([*replayed["differences"][:1], *([ended] if ended and not fault.ends_run else [])])
+    if survived and not lost and not wrong:
+        for file in path.parent.glob(f"{path.stem.removesuffix('_eeg')}_*"):
+            shutil.rmtree(file) if file.is_dir() else file.unlink()
+    return Outcome(survived, lost, wrong, _whole_but_unjudged(recording), recovery, text)
+
+
+def _whole_but_unjudged(recording: Recording) -> int:
+    """Moves said to have come too late, or too early, whose epochs are whole in the recording."""
+    from decoder.chain import design
+    from decoder.epochs import Epoch, Shape
+
+    verdicts = {(verdict.episode, verdict.step): verdict for _, verdict in recording.of(Verdict)}
+    late = {key for key, verdict in verdicts.items() if verdict.by_time}
+    if not late:
+        return 0
+    chain = design(Config().chain, recording.eeg.sfreq)
+    shape = Shape(recording.eeg.sfreq, chain.n_before, chain.n_after)
+    return sum(move.key in late and isinstance(found, Epoch) for move, found in cut_moves(recording, shape))
+
+
+def _row(name: str, outcomes: list[Outcome]) -> dict[str, Any]:
+    times = sorted(outcome.recovery_s for outcome in outcomes if outcome.recovery_s is not None)
+
+    def quantile(share: float) -> float | None:
+        return round(times[min(len(times) - 1, int(share * len(times)))], 2) if times else None
+
+    return {
+        "fault": name,
+        "sessions": len(outcomes),
+        "survived": sum(outcome.survived for outcome in outcomes),
+        "moves_lost": sum(outcome.moves_lost for outcome in outcomes),
+        "wrong_actions": sum(outcome.wrong_actions for outcome in outcomes),
+        "epochs_lost": sum(outcome.epochs_lost for outcome in outcomes),
+        "recovery_p50_s": quantile(0.5),
+        "recovery_p99_s": quantile(0.99),
+        "texts": [outcome.text for outcome in outcomes if outcome.text],
+    }
+
+
+def show(rows: list[dict[str, Any]], console: Console) -> None:
+    """The rows as a table."""
+    columns = ("fault", "sessions", "survived", "moves_lost", "wrong_actions", "recovery_p50_s", "recovery_p99_s")
+    table = Table(*(name.replace("_", " ") for name in columns), title="What was survived")
+    for row in rows:
+        table.add_row(*("-" if row[name] is None else str(row[name]) for name in columns))
+    console.print(table)
+    for row in rows:
+        for text in row["texts"]:
+            console.print(f"{row['fault']}: {text}", style="red", markup=False, soft_wrap=True)
