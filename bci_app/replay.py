@@ -26,11 +26,12 @@ Key = tuple[int, int]
 
 @dataclass(frozen=True)
 class Compared:
-    """Two messages that should be equal, and whether they are to the bit."""
+    """Two messages that should be equal, and whether they are to the bit. One alone, at a broken end, needn't be."""
 
     key: Key
     recorded: Verdict | Action | Electrodes | None
     replayed: Verdict | Action | Electrodes | None
+    must_be_equal: bool = True
 
     @property
     def equal(self) -> bool:
@@ -66,11 +67,12 @@ def replay(
     progress("replaying verdicts", 1, 3)
     config = validated(sidecar.get("config", {}), f"the sidecar of {recording.path}")
     decisions = list(_electrodes(recording))
-    verdicts = list(_verdicts(recording, sidecar, config, model, decisions))
+    all_verdicts = list(_verdicts(recording, sidecar, config, model, decisions))
+    verdicts = [pair for pair in all_verdicts if pair.must_be_equal]
     progress("replaying actions", 2, 3)
     is_online = opening[0][1].task == "online"
     told = sidecar.get("told") or _told_by(_file_of_run(path, sidecar, "model", model))
-    actions = list(_actions(recording, sidecar, policy, told, opening[0][1], verdicts)) if is_online else []
+    actions = list(_actions(recording, sidecar, policy, told, opening[0][1], all_verdicts)) if is_online else []
     progress("done", 3, 3)
     differences = [_sentence(pair) for pair in chain(decisions, verdicts, actions) if not pair.equal]
     return {
@@ -116,7 +118,7 @@ def _verdicts(
     path = _file_of_run(recording.path, sidecar, "model", model)
     recorded = {(verdict.episode, verdict.step): verdict for _, verdict in recording.of(Verdict)}
     session = next(iter(recorded.values())).session if recorded else ""
-    unfinished = _unfinished(recording, max(recorded, default=(0, 0)))
+    unfinished, is_cut = _unfinished(recording, max(recorded, default=(0, 0))), not recording.of(SessionEnd)
     eeg = recording.eeg
     judge = judge_with(load(path), config, eeg, session) if path else judge_without(config, eeg, session)
     bad = {pair.key: pair.replayed for pair in decisions if isinstance(pair.replayed, Electrodes)}
@@ -128,9 +130,11 @@ def _verdicts(
             # When the samples came isn't in the file; the decoder said that this was the reason, so it is taken over.
             yield Compared(key, before, before)
             continue
-        if before is None and unfinished(key):
+        if is_cut and move.onset + judge.shape.n_after / judge.shape.sfreq > recording.times[-1]:
+            yield Compared(key, before, before, must_be_equal=False)  # its last samples were never written
             continue
-        yield Compared(key, before, judge_of(key).verdict(key, result, move.clock_offset))
+        verdict = judge_of(key).verdict(key, result, move.clock_offset)
+        yield Compared(key, before, verdict, must_be_equal=before is not None or not unfinished(key))
 
 
 def _actions(

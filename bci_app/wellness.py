@@ -95,7 +95,7 @@ class Wellness:
             status = self._known[role].status
             if status is None:
                 found.append(f"The {role} is being started again.")
-            elif role != "stimulus" and status.state not in ("ready", "running"):
+            elif role != "stimulus" and status.state not in ("ready", "running", "done"):
                 found.append(f"The {role} waits {status.text}.")
             else:
                 found += [f"The {role} doesn't hear {name} yet." for name in self._unheard(role, status)]

@@ -35,9 +35,8 @@ def measured_rate(times: Array) -> float:
 
 
 def check_rate(times: Array, sfreq: float, name: str, tolerance: float) -> float:
-    """The measured rate of stream `name`. Raises SetupError where it is off `sfreq` by more than a share `tolerance`.
-
-    Give it several seconds: stamps of arrival are known to half a chunk only.
+    """The measured rate of stream `name`. Raises SetupError where it is off `sfreq` by more than a share `tolerance`,
+    and more than its stamps let it be known: those of arrival come a chunk at a time.
     """
     if len(times) < 2 or not times[-1] > times[0]:
         raise SetupError(
@@ -45,7 +44,8 @@ def check_rate(times: Array, sfreq: float, name: str, tolerance: float) -> float
             "Check the amplifier's time stamps."
         )
     rate = measured_rate(times)
-    if not abs(rate / sfreq - 1) <= tolerance:
+    chunk_s = float(np.quantile(np.abs(np.diff(times)), 0.99))
+    if not abs(rate / sfreq - 1) <= tolerance + 2 * chunk_s * sfreq / len(times):
         raise SetupError(
             f"Stream '{name}' says {sfreq:g} Hz but delivers {rate:.1f} Hz (more than {tolerance:.1%} off). Check the "
             "amplifier's rate and its connection, or raise eeg.rate_tolerance."

@@ -128,7 +128,7 @@ def test_a_second_hosts_clock_a_thousand_seconds_away_moves_no_epoch(tmp_path: P
 def named(folder: Path, stream: str) -> Path:
     """A configuration that takes one stream of several on the network."""
     path = folder / f"{stream}.toml"
-    path.write_text(f'[eeg]\nstream_name = "{stream}"\n', encoding="utf-8")
+    path.write_text(f'[eeg]\nstream_name = "{stream}"\npatience_s = 10\n', encoding="utf-8")
     return path
 
 

@@ -33,8 +33,9 @@ def test_a_decoder_that_waits_for_eeg_is_a_trouble_and_a_stimulus_that_waits_is_
     well.take("decoder", 2.0, said("decoder", "waiting", "for EEG from 'Amp'"), now=11.0)
     well.take("stimulus", 2.0, said("stimulus", "waiting"), now=11.0)
     assert well.troubles() == ["The decoder waits for EEG from 'Amp'."]
-    well.take("decoder", 3.0, said("decoder"), now=12.0)
-    assert well.troubles() == []
+    for state in ("ready", "done"):
+        well.take("decoder", 3.0, said("decoder", state), now=12.0)
+        assert well.troubles() == []
 
 
 def test_silence_is_told_and_any_word_ends_it(well: Wellness) -> None:

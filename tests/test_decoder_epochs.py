@@ -218,6 +218,10 @@ def test_the_rate_is_measured_through_jitter_and_gaps() -> None:
     times = 5000 + np.arange(5000) / 250.4
     assert check_rate(np.delete(times, np.r_[2000:2100]), 250.0, "X", 0.01) == pytest.approx(250.4, abs=0.01)
     assert check_rate(arrival_stamps(5000 + np.arange(2500) / SFREQ, 9), SFREQ, "X", 0.01) == pytest.approx(250, abs=1)
+    for phase in range(9):  # three seconds of them
+        check_rate(arrival_stamps(5000 + np.arange(750) / SFREQ, 9, phase), SFREQ, "X", 0.01)
+    with pytest.raises(SetupError, match="delivers 24"):
+        check_rate(5000 + np.arange(750) / 245, SFREQ, "X", 0.01)
     with pytest.raises(SetupError, match=r"'X' says 500 Hz but delivers 480\.2 Hz"):
         check_rate(np.arange(5000) / 480.2, 500.0, "X", 0.01)
     with pytest.raises(SetupError, match="stands still"):
