@@ -81,6 +81,9 @@ BackgroundOption = Annotated[
 RehearseOption = Annotated[
     Path | None, typer.Option("--rehearse", help="Person file that `bci-app rehearse` wrote, as simulated participant.")
 ]
+ResumeOption = Annotated[
+    bool, typer.Option("--resume", help="Go on where the participant's last run of this task was broken off.")
+]
 SimulationSeedOption = Annotated[
     int | None, typer.Option("--participant-seed", help="Seed of the simulated participant: who it is.")
 ]
@@ -103,6 +106,7 @@ def calibrate(
     ] = False,
     session: Annotated[str | None, typer.Option("--session", help="Session id, for --remote processes.")] = None,
     remote: RemoteOption = None,
+    resume: ResumeOption = False,
     config: ConfigOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -114,15 +118,19 @@ def calibrate(
         _overrides(headless, decodability, background, participant_seed, rehearse=rehearse)
         | ({"calibration": {"stop_when_clear": True}} if stop_when_clear else {}),
     )
-    wishes = verbs.Wishes(settings, participant, visit, simulate, speed, seed, session, tuple(remote or ()))
+    wishes = verbs.Wishes(
+        settings, participant, visit, simulate, speed, seed, session, tuple(remote or ()), resume=resume
+    )
     with progress_bar(as_json) as progress:
         outcome = verbs.calibrate(wishes, progress, fitting.look_ahead)
-    _finish_run(outcome, as_json, f"Next: bci-app fit {outcome['recording']}{_with(config)}")
+    _finish_run(outcome, as_json, f"Next: bci-app fit {' '.join(outcome['recordings'])}{_with(config)}")
 
 
 @app.command(rich_help_panel="In the lab")
 def fit(
-    recording: Annotated[Path, typer.Argument(help="A recorded calibration (.xdf).")],
+    recording: Annotated[
+        list[Path], typer.Argument(help="A recorded calibration (.xdf), or the runs that go on from each other.")
+    ],
     allow_damage: Annotated[bool, typer.Option("--allow-damage", help="Use what a damaged file still holds.")] = False,
     config: ConfigOption = None,
     as_json: JsonOption = False,
@@ -159,6 +167,7 @@ def online(
     no_errp: Annotated[bool, typer.Option("--no-errp", help="Control: the simulated brain doesn't react.")] = False,
     session: Annotated[str | None, typer.Option("--session", help="Session id, for --remote processes.")] = None,
     remote: RemoteOption = None,
+    resume: ResumeOption = False,
     config: ConfigOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -168,7 +177,9 @@ def online(
     settings = configuration.load(
         config, _overrides(headless, decodability, background, participant_seed, no_errp, rehearse)
     )
-    wishes = verbs.Wishes(settings, participant, visit, simulate, speed, seed, session, tuple(remote or ()))
+    wishes = verbs.Wishes(
+        settings, participant, visit, simulate, speed, seed, session, tuple(remote or ()), resume=resume
+    )
     with progress_bar(as_json) as progress:
         outcome = verbs.online(wishes, map_name, model, policy, below_gate, progress)
     _finish_run(outcome, as_json, f"Next: bci-app replay {outcome['recording']}")

@@ -23,7 +23,7 @@ def run(config: Config, speed: float, seed: int, progress: Progress) -> dict[str
     """Calibrate, fit, go online on both maps, replay all three; the summary is also written as ``summary.json``."""
     wishes = verbs.Wishes(config, PARTICIPANT, free_visit(Path(config.recordings), PARTICIPANT), True, speed, seed)
     calibrated = verbs.calibrate(wishes, named(progress, "1/4 calibrate"))
-    fitted = fitting.fit(Path(calibrated["recording"]), config, False, named(progress, "2/4 fit"))
+    fitted = fitting.fit([Path(calibrated["recording"])], config, False, named(progress, "2/4 fit"))
     runs = {}
     for number, name in enumerate(SHIPPED_MAPS):
         wish = replace(wishes, seed=seed + 1 + number)

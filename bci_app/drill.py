@@ -171,7 +171,7 @@ def _decoder(wishes: verbs.Wishes, progress: Progress) -> Path:
     calibration = wishes.config.calibration.model_copy(update={"n_blocks": 2, "moves_per_block": 60})
     longer = replace(wishes, config=wishes.config.model_copy(update={"calibration": calibration}))
     told = verbs.calibrate(longer, named(progress, "calibrating"))
-    return Path(fitting.fit(Path(told["recording"]), wishes.config, False, progress)["model"])
+    return Path(fitting.fit([Path(told["recording"])], wishes.config, False, progress)["model"])
 
 
 def _session(wishes: verbs.Wishes, model: Path, name: str, rng: Random, progress: Progress) -> Outcome:

@@ -1,7 +1,7 @@
 """Recorded calibration in, decoder file out."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bci_app.config import Config
 from bci_app.errors import SetupError
+from bci_app.joining import joined
 from bci_app.lookout import Seen
 from bci_app.metrics import truths
 from bci_app.moves import Key, Move, cut_moves, electrodes, judges
@@ -29,14 +30,16 @@ from decoder.operator import features
 from decoder.reliability import predict_session, reliability
 
 
-def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> dict[str, Any]:
+def fit(paths: Sequence[Path], config: Config, allow_damage: bool, progress: Progress) -> dict[str, Any]:
     """Fit a decoder on a recorded calibration and save it beside the recording.
+
+    Several are the runs of one that was broken off and gone on with.
 
     Returns ``calibration`` (n_moves, n_valid, accuracy, balanced_accuracy, auc, evidence ...) and ``model``, the file's
     path. Raises SetupError when the recording is unusable or holds too few valid epochs.
     """
     progress("reading the recording", 0, 3)
-    recording, participant = read_calibration(path, allow_damage)
+    recording, participant = read_calibrations(paths, allow_damage)
     progress("cutting epochs", 1, 3)
     epochs = labelled(recording, config)
     progress("cross-validating", 2, 3)
@@ -52,7 +55,7 @@ def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> d
         eyes=epochs.eyes.eyes,
         on_eyes=epochs.eyes.reason,
         ocular=_by_eyes_alone(epochs, config),
-        recording_sha256=checksum(path),
+        recording_sha256=" ".join(map(checksum, paths)),
     )
     figures = _figures(result, epochs) | {
         "evidence": asdict(fitted.info.evidence),
@@ -62,7 +65,7 @@ def fit(path: Path, config: Config, allow_damage: bool, progress: Progress) -> d
         "learning_curve": _by_block(epochs, config),
     }
     # Saved last: whatever fails before leaves no decoder behind.
-    target = _free_name(path)
+    target = _free_name(paths[-1])
     model.save(fitted, target)
     progress("done", 3, 3)
     return {"participant": participant, "calibration": figures, "advice": _advice(result, config), "model": str(target)}
@@ -76,6 +79,18 @@ def _advice(result: calibration.Calibration, config: Config) -> str:
         f"The balanced accuracy of {balanced:.1%} over contiguous folds is below the gate of {gate:.0%}: online the "
         "agent will search without verdicts. Look at the electrodes and calibrate again, or go on without."
     )
+
+
+def read_calibrations(paths: Sequence[Path], allow_damage: bool) -> tuple[Recording, str]:
+    """The runs of one calibration as one recording, and the participant's name.
+
+    One that a later one of them went on from may end anywhere. Raises SetupError as `read_calibration` does.
+    """
+    last = [read_calibration(path, allow_damage or path != paths[-1]) for path in paths]
+    names = sorted({name for _, name in last})
+    if len(names) > 1:
+        raise SetupError(f"These are calibrations of several participants: {', '.join(names)}. Fit them on their own.")
+    return joined([recording for recording, _ in last]), names[0]
 
 
 def read_calibration(path: Path, allow_damage: bool) -> tuple[Recording, str]:
@@ -165,9 +180,9 @@ def _session(result: calibration.Calibration, error: NDArray[np.bool_], config: 
     return predict_session(right, error, stretches, online.expected_moves, online.expected_errors).as_dict()
 
 
-def look_ahead(path: Path, config: Config) -> Seen:
-    """What a calibration that is still being recorded promises. Raises SetupError where it can't be read."""
-    recording = read(path, True, config.eeg.stream_type)
+def look_ahead(paths: Sequence[Path], config: Config) -> Seen:
+    """What a calibration whose last run is still being recorded promises. Raises SetupError where it can't be read."""
+    recording = joined([read(path, True, config.eeg.stream_type) for path in paths])
     epochs = labelled(recording, config)
     outlook = _outlook(epochs, len(epochs.error), config)
     if outlook is None:

@@ -4,7 +4,7 @@ Looked at is the recording that is being written, in a thread: the loop and the 
 """
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,15 +23,15 @@ class Seen:
     is_clear: bool = False
 
 
-Look = Callable[[Path, Config], Seen]
-"""Looks at a calibration that is still being recorded."""
+Look = Callable[[Sequence[Path], Config], Seen]
+"""Looks at the runs of a calibration, of which the last is still being recorded."""
 
 
 class Lookout:
-    """Looks at one recording, one look at a time."""
+    """Looks at one calibration, one look at a time."""
 
-    def __init__(self, look: Look, path: Path, config: Config) -> None:
-        self._look_at, self._path, self._config = look, path, config
+    def __init__(self, look: Look, paths: Sequence[Path], config: Config) -> None:
+        self._look_at, self._paths, self._config = look, paths, config
         self._thread = ThreadPoolExecutor(1, "lookout")
         self._look: Future[Seen] | None = None
 
@@ -39,7 +39,7 @@ class Lookout:
         """Look now; False where a look is under way."""
         if self._look is not None:
             return False
-        self._look = self._thread.submit(self._look_at, self._path, self._config)
+        self._look = self._thread.submit(self._look_at, self._paths, self._config)
         return True
 
     def take(self) -> Seen | None:

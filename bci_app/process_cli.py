@@ -44,6 +44,9 @@ def stimulus(
     map_name: Annotated[str | None, typer.Option("--map", help="open, obstacles or a map file.")] = None,
     seed: Annotated[int, typer.Option("--seed")] = 0,
     commanded: Annotated[bool, typer.Option("--commanded", help="Wait for bci-app's word to begin.")] = False,
+    from_block: Annotated[int, typer.Option("--from-block", min=0, help="Block to begin with.")] = 0,
+    moves_done: Annotated[int, typer.Option("--moves-done", min=0, help="Moves that block has already.")] = 0,
+    from_episode: Annotated[int, typer.Option("--from-episode", min=0, help="Episode to begin with.")] = 0,
     config: ConfigOption = None,
     speed: SpeedOption = 1.0,
     origin: OriginOption = None,
@@ -52,6 +55,7 @@ def stimulus(
 ) -> None:
     """Show the grid and the agent; begin by the space key."""
     from stimulus import process
+    from stimulus.episodes import Begin
     from stimulus.paradigm import Paradigm
 
     settings = _prepare(config)
@@ -59,7 +63,7 @@ def stimulus(
         raise SetupError(f"--task must be calibration or online, found {task!r}.")
     make = Paradigm.calibration if task == "calibration" else Paradigm.online
     world = load_map(map_name or settings.calibration.map)
-    paradigm = make(settings, world, session, participant, seed)
+    paradigm = make(settings, world, session, participant, seed, Begin(from_block, moves_done, from_episode))
     process.run(settings, session_clock(speed, origin), paradigm, commanded, parent, returning)
 
 

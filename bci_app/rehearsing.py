@@ -56,7 +56,7 @@ def rehearse(
     simulation = config.simulation.model_copy(update={"rehearse": str(file.absolute()), "background": None})
     wishes = replace(wishes, config=config.model_copy(update={"simulation": simulation}))
     calibrated = verbs.calibrate(wishes, named(progress, "2/4 calibrate"))
-    fitted = fitting.fit(Path(calibrated["recording"]), config, False, named(progress, "3/4 fit"))
+    fitted = fitting.fit([Path(calibrated["recording"])], config, False, named(progress, "3/4 fit"))
     outcome = _compared(original, fitted["calibration"]) | {
         "participant": name,
         "errp_size": likeness.scale,

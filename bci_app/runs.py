@@ -87,6 +87,16 @@ def new_run(folder: Path, participant: str, visit: str, task: str) -> Run:
     return run
 
 
+def last_run(folder: Path, participant: str, visit: str, task: str) -> Run | None:
+    """The run with the highest number that has a sidecar, if any. Raises SetupError for a bad label."""
+    check_label(participant, "--participant")
+    check_label(visit, "--visit")
+    stem = Run(folder, participant, visit, task, 1).stem
+    found = stem.parent.glob(f"{stem.name.removesuffix('001')}*_eeg.json")
+    numbers = [int(path.stem.removesuffix("_eeg").rsplit("-", 1)[-1]) for path in found]
+    return Run(folder, participant, visit, task, max(numbers)) if numbers else None
+
+
 def make_folder(path: Path, recordings: Path) -> None:
     """Make a new folder, parents and all, below that of the recordings. Raises SetupError where it can't be."""
     try:

@@ -37,6 +37,7 @@ from bci_app.protocol import (
 )
 from bci_app.recorder import Recorder
 from bci_app.recording import read
+from bci_app.resuming import Stopped
 from bci_app.runs import Run, checksum, versions, write_sidecar, write_sums
 from bci_app.supervisor import Supervisor
 from bci_app.xdf import Follower
@@ -87,6 +88,7 @@ class Plan:
     session : id the remote processes were started with; drawn when there are none.
     look : how to look at a calibration after each of its blocks.
     disturb : what a drill does to the run, asked again and again while it lasts.
+    goes_on : from which run that was broken off, if from one.
     """
 
     run: Run
@@ -103,6 +105,7 @@ class Plan:
     session: str | None = None
     look: Look | None = None
     disturb: "Disturb | None" = None
+    goes_on: Stopped | None = None
 
     @property
     def roles(self) -> tuple[Role, ...]:
@@ -192,7 +195,8 @@ class _Conductor:
         self.ended_at: float | None = None
         self.size = 0
         self.grew_at = 0.0
-        self.lookout = Lookout(plan.look, plan.run.xdf, config) if plan.look else None
+        before = plan.goes_on.recordings if plan.goes_on else ()
+        self.lookout = Lookout(plan.look, [*before, plan.run.xdf], config) if plan.look else None
         self.blocks = 0
         self.seen: list[Seen] = []
         self.missing: list[str] = []
@@ -231,6 +235,9 @@ class _Conductor:
             case "stimulus":
                 arguments += ["--task", self.plan.task, "--map", self.plan.map, "--seed", str(self.plan.seed)]
                 arguments += ["--participant", self.plan.run.participant, "--commanded"]
+                if stopped := self.plan.goes_on:
+                    arguments += ["--from-block", str(stopped.block), "--moves-done", str(stopped.moves_done)]
+                    arguments += ["--from-episode", str(stopped.episode)]
             case "decoder" if self.plan.model is not None:
                 arguments += ["--model", str(self.plan.model)]
             case "policy":
@@ -437,6 +444,7 @@ class _Conductor:
                 "model": _file(plan.model),
                 "policy": _file(plan.policy),
                 "told": plan.told,
+                **(_continuation(plan.goes_on) if plan.goes_on else {}),
                 "config": self.config.model_dump(mode="json"),
                 "versions": versions(),
             }
@@ -446,6 +454,11 @@ class _Conductor:
 
 def _file(path: Path | None) -> dict[str, str] | None:
     return {"path": str(path), "sha256": checksum(path)} if path else None
+
+
+def _continuation(stopped: Stopped) -> dict[str, Any]:
+    begins = {"block": stopped.block, "moves_done": stopped.moves_done, "episode": stopped.episode}
+    return {"continues": [path.name for path in stopped.recordings], "begins_at": begins}
 
 
 def _plain(items: list[tuple[str, Any]]) -> dict[str, Any]:

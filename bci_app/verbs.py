@@ -17,6 +17,7 @@ from bci_app.lsl import describe, find_eeg
 from bci_app.progress import Progress
 from bci_app.protocol import Role
 from bci_app.recording import read
+from bci_app.resuming import Stopped, find
 from bci_app.runs import check_label, new_run
 from bci_app.session import Disturb, Plan, Task, conduct
 
@@ -43,6 +44,7 @@ class Wishes:
     session : session id, needed with `remote`.
     remote : roles started by hand on other machines.
     disturb : what a drill does to the run.
+    resume : go on where the last run of this task stopped.
     """
 
     config: Config
@@ -54,6 +56,7 @@ class Wishes:
     session: str | None = None
     remote: tuple[str, ...] = ()
     disturb: Disturb | None = None
+    resume: bool = False
 
 
 def calibrate(wishes: Wishes, progress: Progress, look: Look | None = None) -> dict[str, Any]:
@@ -62,8 +65,14 @@ def calibrate(wishes: Wishes, progress: Progress, look: Look | None = None) -> d
     load_map(wishes.config.calibration.map)
     if not wishes.simulate:
         _look_at_eeg(wishes.config)
+    goes_on = _stopped(wishes, "calibration")
     plan = _plan(wishes, "calibration", wishes.config.calibration.map)
-    return _told(conduct(replace(plan, look=look), progress))
+    told = _told(conduct(replace(plan, look=look, goes_on=goes_on), progress))
+    return told | {"recordings": [*map(str, goes_on.recordings if goes_on else ()), told["recording"]]}
+
+
+def _stopped(wishes: Wishes, task: Task) -> Stopped | None:
+    return find(wishes.config, wishes.participant, wishes.visit, task) if wishes.resume else None
 
 
 def online(
@@ -85,6 +94,9 @@ def online(
     world = load_map(map_name)
     from decoder.model import fit_stream, load
 
+    goes_on = _stopped(wishes, "online")
+    if goes_on is not None:
+        wishes, model_path, policy = _as_before(wishes, goes_on.sidecar, map_name, model_path, policy)
     path = model_path or newest_model(Path(wishes.config.recordings), wishes.participant)
     model = load(path)
     if model.info.participant != wishes.participant and model_path is None:
@@ -96,22 +108,40 @@ def online(
     if not wishes.simulate:
         eeg = _look_at_eeg(wishes.config)
         fit_stream(model, eeg.name, eeg.picked, eeg.sfreq)
-    plan = replace(_plan(wishes, "online", map_name, path, card.path), told=str(model.info.evidence.told))
+    plan = _plan(wishes, "online", map_name, path, card.path)
+    plan = replace(plan, told=str(model.info.evidence.told), goes_on=goes_on)
     progress(f"policy {card.name}: {reason}", 0, 1)
     outcome = conduct(plan, progress)
     complete = outcome.reason == "complete"
     eeg_type = wishes.config.eeg.stream_type
-    figures = metrics.online([read(outcome.recording, eeg_type=eeg_type)]) if complete else {}
+    recordings = (*(goes_on.recordings if goes_on else ()), outcome.recording)
+    runs = [read(recording, allow_damage=True, eeg_type=eeg_type) for recording in recordings] if complete else []
+    figures = metrics.online(runs) if complete else {}
     whose = model.info.participant
     others = () if whose == wishes.participant else (f"The decoder is participant {whose}'s.",)
     return _told(outcome) | {
         "notes": [*outcome.notes, *others],
+        "recordings": [str(recording) for recording in recordings],
         "figures": figures,
         "policy": card.name,
         "policy_reason": reason,
         "model": str(path),
         "cross_validated_accuracy": float(model.info.blocked["accuracy"]["value"]),
     }
+
+
+def _as_before(
+    wishes: Wishes, sidecar: dict[str, Any], map_name: str, model: Path | None, policy: str | None
+) -> tuple[Wishes, Path | None, str | None]:
+    """What a run needs to go on as it was begun: its seed, its decoder and its policy, unless others are named."""
+    if sidecar.get("map") != map_name:
+        raise SetupError(
+            f"The run to go on with was on map {sidecar.get('map')}, not {map_name}. Name that with --map."
+        )
+    before = {key: (sidecar.get(key) or {}).get("path") for key in ("model", "policy")}
+    if model is None and before["model"]:
+        model = Path(before["model"])
+    return replace(wishes, seed=sidecar.get("seed")), model, policy or before["policy"]
 
 
 def choose_policy(

@@ -5,7 +5,7 @@ Only `random.Random.random` is used: its sequence for a seed is the same on ever
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from random import Random
 from typing import Literal, cast
 
@@ -191,6 +191,7 @@ class Plan:
     break_s : session seconds a break between blocks lasts at least.
     wait_for_key : whether a key ends a break; else time does.
     eye_movements_s : session seconds of eye movements before the first block.
+    begin : where it begins: not at the beginning where it goes on from a run that was broken off.
     """
 
     opening: SessionStart
@@ -203,12 +204,28 @@ class Plan:
     break_s: float = 0.0
     wait_for_key: bool = False
     eye_movements_s: float = 0.0
+    begin: "Begin" = field(default_factory=lambda: Begin())
+
+
+@dataclass(frozen=True)
+class Begin:
+    """Where a run begins: a calibration in a block that has some moves already, an online run at an episode."""
+
+    block: int = 0
+    moves_done: int = 0
+    episode: int = 0
 
 
 def calibration_plan(
-    run: CalibrationConfig, world: GridWorld, session: str, participant: str, seed: int, wait_for_key: bool
+    run: CalibrationConfig,
+    world: GridWorld,
+    session: str,
+    participant: str,
+    seed: int,
+    wait_for_key: bool,
+    begin: Begin,
 ) -> Plan:
-    """Blocks of moves by an agent that errs on purpose (paper V.A.1); `SessionStart.n_moves` is their total.
+    """Blocks of moves by an agent that errs on purpose (paper V.A.1); `SessionStart.n_moves` is how many are to come.
 
     Raises SetupError for a map too small.
     """
@@ -220,7 +237,7 @@ def calibration_plan(
         map=world.name,
         layout=world.layout(),
         n_blocks=run.n_blocks,
-        n_moves=run.n_blocks * run.moves_per_block,
+        n_moves=(run.n_blocks - begin.block) * run.moves_per_block - begin.moves_done,
     )
 
     def choose(cell: int, goal: int, error: bool | None) -> int:
@@ -238,10 +255,11 @@ def calibration_plan(
         run.break_s,
         wait_for_key,
         run.eye_movements_s,
+        begin,
     )
 
 
-def online_plan(run: OnlineConfig, world: GridWorld, session: str, participant: str, seed: int) -> Plan:
+def online_plan(run: OnlineConfig, world: GridWorld, session: str, participant: str, seed: int, begin: Begin) -> Plan:
     """The pre-generated episodes, the same for everyone, in the random order of `seed` (paper V.B.3).
 
     Raises SetupError when the map has none of the wanted distances.
@@ -255,8 +273,8 @@ def online_plan(run: OnlineConfig, world: GridWorld, session: str, participant: 
         layout=world.layout(),
         n_episodes=len(episodes),
     )
-    ordered = iter([episodes[number] for number in episode_order(len(episodes), seed)])
-    return Plan(opening, seed, ordered, None, run.max_steps)
+    order = episode_order(len(episodes), seed)[begin.episode :]
+    return Plan(opening, seed, iter([episodes[number] for number in order]), None, run.max_steps, begin=begin)
 
 
 def _draw(pairs: NDArray[np.int64], rng: Random) -> Episode:

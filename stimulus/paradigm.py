@@ -41,13 +41,14 @@ from bci_app.protocol import (
     SessionStart,
     Verdict,
 )
-from stimulus.episodes import Plan, Walk, calibration_plan, online_plan
+from stimulus.episodes import Begin, Plan, Walk, calibration_plan, online_plan
 from stimulus.repeats import Repeats
 from stimulus.scene import Scene
 
 WELCOME = "Watch the red agent on its way to the green goal.\nJudge every move in silence: right or wrong?"
 COMPLETE = "Done. Thank you!"
 STOPPED = "The session has ended."
+FROM_THE_START = Begin()
 EYE_MOVEMENTS = ("Blink", "Look left and right", "Look up and down")
 
 
@@ -96,10 +97,12 @@ class Paradigm:
         self._due = 0.0
         self._out: list[Outgoing] = []
         self._last_stamp = float("-inf")
-        self._block = self._block_moves = 0
+        self._block, self._block_moves = plan.begin.block, 0
         self._moves = 0  # without those that must be repeated
         self._repeats = Repeats(plan.moves_per_block)
-        self._walk = Walk(world, self.session, number=-1, cell=0, goal=0, max_steps=0)  # until the first begins
+        self._walk = Walk(
+            world, self.session, number=plan.begin.episode - 1, cell=0, goal=0, max_steps=0
+        )  # until one begins
         self._running = False
         self._is_enough = False  # no block is to come after the one under way
         self._eye_task = -1
@@ -111,15 +114,20 @@ class Paradigm:
         self._closing_text = COMPLETE
 
     @classmethod
-    def calibration(cls, cfg: Config, world: GridWorld, session: str, participant: str, seed: int) -> Self:
+    def calibration(
+        cls, cfg: Config, world: GridWorld, session: str, participant: str, seed: int, begin: Begin = FROM_THE_START
+    ) -> Self:
         """A calibration run; a key ends the breaks where there is a window to press it in."""
         wait = cfg.calibration.wait_for_key and not cfg.stimulus.headless
-        return cls(cfg.stimulus, world, calibration_plan(cfg.calibration, world, session, participant, seed, wait))
+        plan = calibration_plan(cfg.calibration, world, session, participant, seed, wait, begin)
+        return cls(cfg.stimulus, world, plan)
 
     @classmethod
-    def online(cls, cfg: Config, world: GridWorld, session: str, participant: str, seed: int) -> Self:
+    def online(
+        cls, cfg: Config, world: GridWorld, session: str, participant: str, seed: int, begin: Begin = FROM_THE_START
+    ) -> Self:
         """An online run; `seed` orders the episodes."""
-        return cls(cfg.stimulus, world, online_plan(cfg.online, world, session, participant, seed))
+        return cls(cfg.stimulus, world, online_plan(cfg.online, world, session, participant, seed, begin))
 
     # What the shell asks.
 
@@ -334,8 +342,7 @@ class Paradigm:
                     self._phase, self._paused_in = Phase.PAUSED, Phase.EYES
                 case BlockStart() as block:
                     self._paused_in = Phase.REST
-                    self._block, self._block_moves = block.block, 0
-                    self._repeats.begin()
+                    self._begin_count(block.block)
                 case EpisodeStart() as start:
                     self._paused_in = Phase.REST
                     self._remember_start(start)
@@ -481,12 +488,17 @@ class Paradigm:
         self._wait(Phase.EYES, now + self._plan.eye_movements_s / len(EYE_MOVEMENTS))
 
     def _begin_block(self, now: float) -> None:
-        self._block_moves = 0
-        self._repeats.begin()
+        self._begin_count(self._block)
         if self._plan.moves_per_block is not None:
-            start = BlockStart(session=self.session, block=self._block, n_moves=self._plan.moves_per_block)
-            self._send(start, now)
+            n_moves = self._plan.moves_per_block - self._block_moves
+            self._send(BlockStart(session=self.session, block=self._block, n_moves=n_moves), now)
         self._begin_episode(now)
+
+    def _begin_count(self, block: int) -> None:
+        """Of the moves of a block, which may have some from a run before."""
+        begin = self._plan.begin
+        self._block, self._block_moves = block, begin.moves_done if block == begin.block else 0
+        self._repeats.begin()
 
     def _begin_episode(self, now: float) -> None:
         episode = next(self._plan.episodes, None)

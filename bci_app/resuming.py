@@ -1,0 +1,101 @@
+"""Where a run that was broken off stopped, for a new run of the same session to go on there."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bci_app.config import Config
+from bci_app.errors import SetupError
+from bci_app.protocol import BlockEnd, BlockStart, EpisodeEnd, MoveOnset, SessionEnd, Verdict
+from bci_app.recording import Recording, read
+from bci_app.runs import Run, eeg_type, last_run, read_sidecar
+
+
+@dataclass(frozen=True)
+class Stopped:
+    """A run that was broken off.
+
+    Attributes
+    ----------
+    recordings : of it, and of those it went on from, the oldest first.
+    sidecar : its own.
+    block, moves_done : of a calibration: the block under way, and the valid moves that it has.
+    episode : of an online run: the first that isn't finished.
+    """
+
+    recordings: tuple[Path, ...]
+    sidecar: dict[str, Any]
+    block: int = 0
+    moves_done: int = 0
+    episode: int = 0
+
+
+def find(config: Config, participant: str, visit: str, task: str) -> Stopped:
+    """The participant's last run of a task, and where it stopped.
+
+    Raises SetupError where there is none, it is complete, or its settings were others.
+    """
+    run = last_run(Path(config.recordings), participant, visit, task)
+    if run is None:
+        raise SetupError(
+            f"There is no {task} run of participant {participant}, visit {visit}, below {config.recordings} to go on "
+            "with. Leave out --resume."
+        )
+    sidecar = read_sidecar(run.xdf)
+    if not run.xdf.exists():
+        raise SetupError(f"{run.xdf} was never recorded: there is nothing to go on with. Leave out --resume.")
+    recording = read(run.xdf, allow_damage=True, eeg_type=eeg_type(sidecar))
+    if any(end.reason == "complete" for _, end in recording.of(SessionEnd)):
+        raise SetupError(f"{run.xdf} is complete: there is nothing to go on with. Leave out --resume.")
+    _check_same(sidecar, config, task, run)
+    recordings = (*_before(run, sidecar), run.xdf)
+    if task == "online":
+        return Stopped(recordings, sidecar, episode=_first_unfinished(recording, sidecar))
+    block, moves_done = _in_block(recording, sidecar, config)
+    if block >= config.calibration.n_blocks:
+        raise SetupError(f"{run.xdf} holds all {config.calibration.n_blocks} blocks: fit it as it is.")
+    return Stopped(recordings, sidecar, block=block, moves_done=moves_done)
+
+
+def _check_same(sidecar: dict[str, Any], config: Config, task: str, run: Run) -> None:
+    """What the run is made of must be what it was."""
+    section = "online" if task == "online" else "calibration"
+    before = sidecar.get("config", {}).get(section, {})
+    now = config.model_dump(mode="json")[section]
+    for key in ("map", "n_blocks", "moves_per_block", "max_steps", "distances", "episodes_seed", "error_probability"):
+        if key in now and before.get(key) != now[key]:
+            raise SetupError(
+                f"{run.xdf} was begun with {section}.{key} = {before.get(key)}, and now it is {now[key]}. Go on with "
+                "the configuration it was begun with, or leave out --resume."
+            )
+
+
+def _before(run: Run, sidecar: dict[str, Any]) -> Iterator[Path]:
+    """Recordings of the runs that this one went on from, the oldest first."""
+    for name in sidecar.get("continues", []):
+        path = run.xdf.with_name(Path(name).name)
+        if not path.exists():
+            raise SetupError(f"{run.xdf} went on from {path}, which isn't there. Put it back.")
+        yield path
+
+
+def _first_unfinished(recording: Recording, sidecar: dict[str, Any]) -> int:
+    finished = [end.episode for _, end in recording.of(EpisodeEnd) if end.reason in ("goal", "limit")]
+    return max(finished) + 1 if finished else int(sidecar.get("begins_at", {}).get("episode", 0))
+
+
+def _in_block(recording: Recording, sidecar: dict[str, Any], config: Config) -> tuple[int, int]:
+    """The block under way and its valid moves; a move whose verdict never came is made again."""
+    starts, ends = recording.of(BlockStart), recording.of(BlockEnd)
+    if not starts:
+        begins = sidecar.get("begins_at", {})
+        return int(begins.get("block", 0)), int(begins.get("moves_done", 0))
+    stamp, start = starts[-1]
+    if ends and ends[-1][1].block == start.block:
+        return start.block + 1, 0
+    valid = {(verdict.episode, verdict.step) for _, verdict in recording.of(Verdict) if verdict.outcome != "rejected"}
+    made = sum((move.episode, move.step) in valid for when, move in recording.of(MoveOnset) if when >= stamp)
+    return start.block, min(
+        config.calibration.moves_per_block, config.calibration.moves_per_block - start.n_moves + made
+    )
