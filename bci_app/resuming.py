@@ -50,9 +50,11 @@ def find(config: Config, participant: str, visit: str, task: str) -> Stopped:
         raise SetupError(f"{run.xdf} is complete: there is nothing to go on with. Leave out --resume.")
     _check_same(sidecar, config, task, run)
     recordings = (*_before(run, sidecar), run.xdf)
+    begun_at = sidecar.get("begins_at", {})
     if task == "online":
-        return Stopped(recordings, sidecar, episode=_first_unfinished(recording, sidecar))
-    block, moves_done = _in_block(recording, sidecar, config)
+        return Stopped(recordings, sidecar, episode=first_unfinished(recording, int(begun_at.get("episode", 0))))
+    begun = int(begun_at.get("block", 0)), int(begun_at.get("moves_done", 0))
+    block, moves_done = in_block(recording, begun, config.calibration.moves_per_block)
     if block >= config.calibration.n_blocks:
         raise SetupError(f"{run.xdf} holds all {config.calibration.n_blocks} blocks: fit it as it is.")
     return Stopped(recordings, sidecar, block=block, moves_done=moves_done)
@@ -80,22 +82,23 @@ def _before(run: Run, sidecar: dict[str, Any]) -> Iterator[Path]:
         yield path
 
 
-def _first_unfinished(recording: Recording, sidecar: dict[str, Any]) -> int:
+def first_unfinished(recording: Recording, begun: int) -> int:
+    """The first episode of an online run, which began with the one ``begun``, that has no end of its own."""
     finished = [end.episode for _, end in recording.of(EpisodeEnd) if end.reason in ("goal", "limit")]
-    return max(finished) + 1 if finished else int(sidecar.get("begins_at", {}).get("episode", 0))
+    return max(finished) + 1 if finished else begun
 
 
-def _in_block(recording: Recording, sidecar: dict[str, Any], config: Config) -> tuple[int, int]:
-    """The block under way and its valid moves; a move whose verdict never came is made again."""
+def in_block(recording: Recording, begun: tuple[int, int], per_block: int) -> tuple[int, int]:
+    """The block under way, and its valid moves, of a calibration that began in block ``begun[0]`` with ``begun[1]``.
+
+    A move whose verdict never came is made again.
+    """
     starts, ends = recording.of(BlockStart), recording.of(BlockEnd)
     if not starts:
-        begins = sidecar.get("begins_at", {})
-        return int(begins.get("block", 0)), int(begins.get("moves_done", 0))
+        return begun
     stamp, start = starts[-1]
     if ends and ends[-1][1].block == start.block:
         return start.block + 1, 0
     valid = {(verdict.episode, verdict.step) for _, verdict in recording.of(Verdict) if verdict.outcome != "rejected"}
     made = sum((move.episode, move.step) in valid for when, move in recording.of(MoveOnset) if when >= stamp)
-    return start.block, min(
-        config.calibration.moves_per_block, config.calibration.moves_per_block - start.n_moves + made
-    )
+    return start.block, min(per_block, per_block - start.n_moves + made)

@@ -183,16 +183,23 @@ def _are_samples(content: memoryview, header: Header) -> bool:
     for _ in range(n_samples):
         if at >= len(content) or content[at] not in (0, 8):
             return False
-        at += 1 + content[at]
-        if header.n_value_bytes is not None:
-            at += header.n_channels * header.n_value_bytes
-            continue
-        for _ in range(header.n_channels):
-            length = _number(content, at)
-            if length is None:
-                return False
-            at = length[0] + length[1]
+        end = _end_of_values(content, at + 1 + content[at], header)
+        if end is None:
+            return False
+        at = end
     return at == len(content)
+
+
+def _end_of_values(content: memoryview, at: int, header: Header) -> int | None:
+    """Where the values of a sample end that begin at `at`; None where they can't be read."""
+    if header.n_value_bytes is not None:
+        return at + header.n_channels * header.n_value_bytes
+    for _ in range(header.n_channels):
+        length = _number(content, at)
+        if length is None:
+            return None
+        at = length[0] + length[1]
+    return at
 
 
 @dataclass(frozen=True)
@@ -214,23 +221,43 @@ def salvage(data: bytes, rotten: tuple[tuple[int, int], ...] = ()) -> Salvaged:
     kept, damage, chunks = [MAGIC], [], Chunks(data, rotten)
     unsure: set[int] = set()  # streams of which the sample before may be lost
     for item in chunks:
-        if isinstance(item, Chunk):
-            if item.tag == SAMPLES and item.stream in unsure and _is_stamp_deduced(data, item):
-                damage.append(Damage(item.start, item.stop))
-                continue
-            if item.tag == SAMPLES:
-                unsure.discard(item.stream)
-            kept.append(data[item.start : item.stop])
-        else:
+        if isinstance(item, Damage):
             damage.append(item)
             unsure |= set(chunks.headers)
+        elif item.tag == SAMPLES and item.stream in unsure:
+            n_unstamped, first = unstamped(data, item, chunks.headers[item.stream])
+            if n_unstamped:
+                damage.append(Damage(item.start, first))
+            if first < item.stop:
+                unsure.discard(item.stream)
+                kept.append(_from_sample(data, item, n_unstamped, first))
+        else:
+            kept.append(data[item.start : item.stop])
     return Salvaged(BytesIO(b"".join(kept) if damage else data), tuple(damage))
 
 
-def _is_stamp_deduced(data: bytes, chunk: Chunk) -> bool:
-    """Whether the first sample has no stamp of its own, but one interval after the sample before."""
+def unstamped(data: bytes, chunk: Chunk, header: Header) -> tuple[int, int]:
+    """How many samples at the beginning of a chunk have no stamp of their own but one interval more than the sample
+    before, and where the first begins that has one."""
+    content = memoryview(data)[chunk.content : chunk.stop]
+    counted = _number(content, 0)
+    assert counted is not None
+    n_samples, at = counted
+    for number in range(n_samples):
+        if content[at]:
+            return number, chunk.content + at
+        at = _end_of_values(content, at + 1, header) or len(content)
+    return n_samples, chunk.stop
+
+
+def _from_sample(data: bytes, chunk: Chunk, number: int, start: int) -> bytes:
+    """The same chunk without its first ``number`` samples, which end where ``start`` is."""
+    if not number:
+        return data[chunk.start : chunk.stop]
     counted = _number(memoryview(data)[chunk.content : chunk.stop], 0)
-    return counted is not None and counted[0] > 0 and data[chunk.content + counted[1]] == 0
+    assert counted is not None
+    body = struct.pack("<HIBI", SAMPLES, chunk.stream, 4, counted[0] - number) + data[start : chunk.stop]
+    return struct.pack("<BI", 4, len(body)) + body
 
 
 class Follower:

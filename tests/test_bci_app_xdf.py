@@ -155,3 +155,20 @@ def test_a_growing_file_is_followed(tmp_path_factory: pytest.TempPathFactory, cu
 def test_real_recordings_are_whole(data: Path) -> None:
     for path in sorted((data / "xdf").glob("*.xdf")):
         assert not [item for item in Chunks(path.read_bytes()) if isinstance(item, Damage)], path.name
+
+
+def test_samples_whose_stamps_hang_on_a_lost_chunk_are_left_out_and_no_other() -> None:
+    """LabRecorder writes no stamp where it is exactly one interval after the one before."""
+    late = b"".join(
+        (b"\0" if number < 22 else b"\x08" + struct.pack("<d", 100 + number / 250)) + struct.pack("<3f", number, 0, 0)
+        for number in range(20, 40)
+    )
+    made = [PIECES[0], chunk(2, described("amp", 3, "float32"), 1)]
+    made += [chunk(3, eeg(0, 20), 1), chunk(3, struct.pack("<BB", 1, 20) + late, 1), chunk(3, eeg(40, 20), 1)]
+    data = b"XDF:" + b"".join(made)
+    lost = 4 + len(made[0]) + len(made[1]) + 30
+    salvaged = salvage(data, ((lost, lost + 1),))
+    (stream,), _ = pyxdf.load_xdf(salvaged.file, synchronize_clocks=False, dejitter_timestamps=False)
+    assert stream["time_series"][:, 0].tolist() == list(range(22, 60))
+    assert stream["time_stamps"].tolist() == [100 + number / 250 for number in range(22, 60)]
+    assert len(salvaged.damage) == 2
