@@ -206,13 +206,20 @@ def replay(
 @app.command(rich_help_panel="In the lab")
 def doctor(
     model: Annotated[Path | None, typer.Option("--model", help="Decoder the EEG stream must fit.")] = None,
+    moves: Annotated[
+        bool, typer.Option("--moves", help="Also make a few moves for real, through every process and the recorder.")
+    ] = False,
+    headless: HeadlessOption = False,
     config: ConfigOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say which streams are there, whether the EEG fits, and what is missing."""
+    """Say what would keep a session from starting, or from being worth it: before a participant comes."""
     from bci_app import doctor as doctoring
 
-    result = doctoring.examine(configuration.load(config), model)
+    with progress_bar(as_json) as progress:
+        result = doctoring.examine(
+            configuration.load(config, _overrides(headless, None, None, None)), model, progress, moves
+        )
     if as_json:
         print_json(result)
     else:

@@ -1,4 +1,7 @@
-"""Which streams are there, does the EEG fit, what is missing: a first look before a participant comes."""
+"""Which streams are there, does the EEG fit, what is missing: a first look before a participant comes.
+
+Everything that would keep a session from starting, or from being worth its hours, is a check that fails.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -9,18 +12,35 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from bci_app import trial
 from bci_app.config import Config
+from bci_app.eeg import EegDescription
 from bci_app.errors import LinkLost, SetupError
-from bci_app.lsl import EegInlet, all_streams, find_eeg, local_clock
+from bci_app.lsl import EegInlet, all_streams, find_eeg, finds_streams, local_clock
+from bci_app.progress import Progress
+from bci_app.verbs import disk
 
+FIND_S = 5.0
+"""Real seconds in which LSL must find a stream on this computer (decided; it takes one)."""
+CLOCK_S = 5.0
+"""Seconds the newest sample's stamp may be from now, as in the decoder (decided)."""
+NO_SOURCE_ID = (
+    "'{name}' has no source_id, so that LSL can't find it again after an interruption: neither the session nor the "
+    "recording would go on. Give it one in the amplifier's LSL connector"
+)
 LOOK_S = 10.0
 """Real seconds of EEG that are looked at: as many as before an episode."""
 
 
-def examine(config: Config, model_path: Path | None) -> dict[str, Any]:
-    """``streams`` on the network, ``checks`` (what, ok, text), and ``fit``: whether all checks passed."""
+def examine(config: Config, model_path: Path | None, progress: Progress, in_trial: bool = False) -> dict[str, Any]:
+    """``streams`` on the network, ``checks`` (what, ok, text), and ``fit``: whether all checks passed.
+
+    With ``in_trial`` also a few moves are made for real.
+    """
+    progress("looking at the network", 0, 3)
     streams = all_streams()
-    checks = [_check("streams on the network", bool(streams), f"{len(streams)} found")]
+    checks = [_network(), _check("streams on the network", bool(streams), f"{len(streams)} found")]
+    progress("looking at the EEG", 1, 3)
     try:
         info = find_eeg(config.eeg, timeout=2.0)
         inlet = EegInlet(info, config.eeg.buffer_s)
@@ -28,12 +48,44 @@ def examine(config: Config, model_path: Path | None) -> dict[str, Any]:
         text = f"'{description.name}', {len(description.picks)} EEG channels at {description.sfreq:g} Hz"
         samples, times = _listen(inlet)
         checks += [_check("EEG stream with labels and units", True, text), _rate(inlet, config, times)]
-        checks.append(_electrodes(inlet, samples, times, config))
+        checks += [_clock(inlet, times), _electrodes(inlet, samples, times, config), _disk(config, description)]
+        if not description.source_id:
+            checks.append(_check("the stream can come back", False, NO_SOURCE_ID.format(name=description.name)))
         if model_path:
             checks.append(_fits(model_path, inlet))
     except (SetupError, LinkLost) as error:
         checks.append(_check("EEG stream with labels and units", False, str(error)))
+    progress("making a few moves", 2, 3)
+    if in_trial and all(check["ok"] for check in checks):
+        checks += trial.run(config, model_path, progress)
+    progress("done", 3, 3)
     return {"streams": streams, "checks": checks, "fit": all(check["ok"] for check in checks)}
+
+
+def _network() -> dict[str, Any]:
+    """Whether LSL finds a stream at all, for which one of ours is opened: else nothing would be found however well it
+    ran."""
+    what = "LSL finds streams"
+    if not finds_streams(FIND_S):
+        text = (
+            f"not even one on this computer within {FIND_S:g} s: a firewall or the network keeps LSL's multicast from "
+            "its way, so that no amplifier can be found though it runs. Let UDP and TCP 16571-16604 through"
+        )
+        return _check(what, False, text)
+    return _check(what, True, "one of our own was found")
+
+
+def _clock(inlet: EegInlet, times: NDArray[np.float64]) -> dict[str, Any]:
+    what, now = "the amplifier's clock", local_clock()
+    offset = inlet.clock_correction()
+    age = now - (float(times[-1]) + offset) if len(times) else float("nan")
+    text = f"{offset * 1e3:+.2f} ms to this computer's; the newest sample is {age * 1e3:.0f} ms old"
+    return _check(what, abs(age) < CLOCK_S, text)
+
+
+def _disk(config: Config, eeg: EegDescription) -> dict[str, Any]:
+    what, (needed, free) = "room for a session on the disk", disk(config, eeg)
+    return _check(what, free >= needed, f"{free / 1e9:.1f} GB free, about {needed / 1e9:.1f} GB needed")
 
 
 def _listen(inlet: EegInlet) -> tuple[NDArray[np.float32], NDArray[np.float64]]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 import pylsl
@@ -19,7 +20,7 @@ from bci_app.clock import Clock
 from bci_app.config import EegConfig
 from bci_app.eeg import EegDescription
 from bci_app.errors import LinkLost, SetupError
-from bci_app.protocol import PROTOCOL_VERSION, AnyMessage, BadMessage, Message, StreamSpec, decode, encode
+from bci_app.protocol import PROTOCOL_VERSION, SESSION, AnyMessage, BadMessage, Message, StreamSpec, decode, encode
 
 USUAL_PLACES = (Path("lsl_api.cfg"), Path("~/lsl_api/lsl_api.cfg").expanduser(), Path("/etc/lsl_api/lsl_api.cfg"))
 if "LSLAPICFG" not in os.environ and not any(path.exists() for path in USUAL_PLACES):
@@ -201,6 +202,15 @@ def find_eeg(config: EegConfig, timeout: float) -> pylsl.StreamInfo:
 def describe(info: pylsl.StreamInfo) -> EegDescription:
     """The full header of a resolved EEG stream. Raises LinkLost when the stream doesn't answer."""
     return _describe(pylsl.StreamInlet(info, recover=False), info.name())
+
+
+def finds_streams(timeout: float) -> bool:
+    """Whether a stream of our own, opened for that, is found on this computer within `timeout` real seconds."""
+    session = f"finding-{uuid4().hex[:8]}"
+    outlet = MessageOutlet(SESSION, session)
+    found = pylsl.resolve_bypred(f"source_id='{SESSION.source_id(session)}'", 1, timeout)
+    del outlet  # only now
+    return bool(found)
 
 
 def all_streams(wait_s: float = 1.0) -> list[dict[str, str | int | float]]:

@@ -2,6 +2,7 @@
 
 import re
 import secrets
+import shutil
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -22,6 +23,8 @@ from bci_app.runs import check_label, new_run
 from bci_app.session import Disturb, Plan, Task, conduct
 
 MIN_SPEED = 0.1
+SECONDS_A_MOVE = 5.0
+"""Of recording, pauses and all (decided: 3 and some)."""
 SESSION_ID = re.compile(r"[A-Za-z0-9_-]+\Z")
 MAX_SPEED = 100.0
 """Session seconds a real second beyond which no computer keeps up: a move would take 30 ms (decided)."""
@@ -203,10 +206,31 @@ def _asked_card(policy: str, accuracy: float, world: GridWorld) -> "PolicyCard":
     return checkpoint.choose_by_accuracy(trained_at, world)
 
 
+def disk(config: Config, eeg: EegDescription) -> tuple[float, float]:
+    """Bytes that a calibration and two online runs need, generously, and that are free where recordings go."""
+    folder = Path(config.recordings).absolute()
+    while not folder.exists():
+        folder = folder.parent
+    calibration, online = config.calibration, config.online
+    moves = calibration.n_blocks * calibration.moves_per_block + 2 * online.expected_moves
+    a_sample = len(eeg.channels) * 8 + 9  # doubles at worst, and a stamp
+    return moves * SECONDS_A_MOVE * eeg.sfreq * a_sample, float(shutil.disk_usage(folder).free)
+
+
+def _check_disk(config: Config, eeg: EegDescription) -> None:
+    needed, free = disk(config, eeg)
+    if free < needed:
+        raise SetupError(
+            f"Only {free / 1e9:.2f} GB are free for recordings in {config.recordings}, and a session needs about "
+            f"{needed / 1e9:.2f} GB. Free some, or choose another folder with `recordings = ...`."
+        )
+
+
 def _look_at_eeg(config: Config) -> EegDescription:
     """The lab's EEG stream, before anything is started or written: there, only once, with labels and units."""
     eeg = describe(find_eeg(config.eeg, timeout=5.0))
     eeg.check()
+    _check_disk(config, eeg)
     return eeg
 
 

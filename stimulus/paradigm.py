@@ -48,6 +48,7 @@ from stimulus.scene import Scene
 WELCOME = "Watch the red agent on its way to the green goal.\nJudge every move in silence: right or wrong?"
 COMPLETE = "Done. Thank you!"
 STOPPED = "The session has ended."
+LINK_PAUSE = "Pause\nSomething technical. Please wait: it goes on by itself."
 FROM_THE_START = Begin()
 EYE_MOVEMENTS = ("Blink", "Look left and right", "Look up and down")
 
@@ -214,7 +215,7 @@ class Paradigm:
             case Phase.KEY:
                 return f"{blocks}\nPress space when you are ready."
             case Phase.PAUSED:
-                return "Pause"
+                return "Pause" if self.is_paused_by_person else LINK_PAUSE
             case Phase.DONE:
                 return self._closing_text
         return None

@@ -136,7 +136,7 @@ def named(folder: Path, stream: str) -> Path:
 def test_missing_channels_are_refused_and_reordered_ones_mended(tmp_path: Path, any_decoder: Path) -> None:
     all_but_one = [label for label in LABELS if label != "FCz"]
     otherwise = [label.upper() for label in reversed(LABELS)]
-    words = ("doctor", "--model", any_decoder, "--json", "--config")
+    words = ("doctor", "--model", any_decoder, "--moves", "--headless", "--json", "--config")
     with (
         closing(ForeignAmplifier("AmpC", labels=all_but_one)) as missing,
         closing(ForeignAmplifier("AmpD", labels=otherwise)) as shuffled,
@@ -148,12 +148,18 @@ def test_missing_channels_are_refused_and_reordered_ones_mended(tmp_path: Path, 
             missing.play()
             shuffled.play()
 
-        until(lambda: refusing.poll() is not None and mending.poll() is not None, 40, "both doctors", play)
+        until(lambda: refusing.poll() is not None and mending.poll() is not None, 120, "both doctors", play)
         assert refusing.returncode == 2
         assert "missing: FCz" in refusing.communicate()[0]
         said = mending.communicate()
         assert mending.returncode == 0, said
-        assert json.loads(said[0])["fit"]
+        result = json.loads(said[0])
+        assert result["fit"]
+        found = {check["check"]: check for check in result["checks"]}
+        assert found["LSL finds streams"]["ok"]
+        assert "GB needed" in found["room for a session on the disk"]["text"]
+        assert found["the recording replays to the bit"]["ok"]
+        assert "action" in found["a verdict is soon there"]["text"]
 
 
 @pytest.mark.trouble("pylsl #88: the loss of a stream is invisible; liblsl #201, #220: and closing it then hangs")

@@ -530,12 +530,25 @@ def test_a_pause_during_the_countdown_is_at_once_and_resumes_with_a_full_countdo
     runner = Runner(calibration())
     paradigm = runner.paradigm
     runner.step()
-    paradigm.pause(101.5, "cough")
+    paradigm.pause(101.5, "cough", by_person=True)
     assert (paradigm.waiting_for, paradigm.next_due(), paradigm.scene(101.5).text) == ("resume", None, "Pause")
-    paradigm.pause(101.6, "again")
+    paradigm.pause(101.6, "again", by_person=True)
     paradigm.resume(200.0)
     runner.until(lambda: len(runner.of(MoveOnset)) == 1)
     assert [out.stamp for out in (*runner.of(Pause), *runner.of(Resume), *runner.of(MoveOnset))] == [101.5, 200, 202]
+
+
+def test_a_pause_for_a_process_says_that_it_ends_by_itself_unless_a_person_pauses_as_well() -> None:
+    runner = Runner(calibration())
+    paradigm = runner.paradigm
+    runner.step()
+    paradigm.pause(101.5, "the policy is gone")
+    assert "by itself" in str(paradigm.scene(101.5).text)
+    assert not paradigm.is_paused_by_person
+    paradigm.pause(102.0, "cough", by_person=True)
+    runner.take()
+    assert (paradigm.is_paused_by_person, paradigm.scene(102.0).text) == (True, "Pause")
+    assert [out.stamp for out in runner.of(Pause)] == [101.5, 102.0]
 
 
 def test_a_pause_waits_until_the_move_is_over() -> None:
