@@ -5,6 +5,7 @@ one the replay finds, which knows nothing of the fault. One without its recorder
 rest, and what was recorded until then is readable.
 """
 
+import logging
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
@@ -29,9 +30,15 @@ from bci_app.recording import Recording, read
 from bci_app.session import Stage
 from bci_app.supervisor import Supervisor
 
+log = logging.getLogger(__name__)
+
 PARTICIPANT = "DRILL"
-SHORT = {"calibration": {"n_blocks": 2, "moves_per_block": 20, "break_s": 1.0}, "online": {"distances": [2, 8]}}
-"""A session of a drill: some 40 moves."""
+SHORT = {
+    "calibration": {"n_blocks": 2, "moves_per_block": 20, "break_s": 1.0},
+    "online": {"distances": [2, 8]},
+    "simulation": {"dead": ["C3"]},
+}
+"""A session of a drill: some 40 moves, with an electrode that must be repaired."""
 DROP_OUT_S = (0.1, 30.0)
 """Shortest and longest real seconds for which an amplifier drops out, even in their logarithm."""
 RECORDED_S = 1.0
@@ -157,6 +164,7 @@ def run(
         told = named(progress, f"{number + 1}/{len(names or FAULTS)} {name}")
         outcomes = [_session(wishes, model, name, rng, told) for _ in range(n_sessions)]
         rows.append(_row(name, outcomes))
+        log.warning("%s", rows[-1])  # long drills are looked at while they last
     if all(is_good(row) for row in rows):
         shutil.rmtree(folder)
     return rows
@@ -194,18 +202,17 @@ def _session(wishes: verbs.Wishes, model: Path, name: str, rng: Random, progress
 
 
 def _judged(saboteur: _Saboteur, ended: str) -> Outcome:
-    assert saboteur.path is not None
-    assert saboteur.heard is not None
-    assert saboteur.supervisor is not None
+    if saboteur.path is None or saboteur.heard is None or saboteur.supervisor is None:
+        return Outcome(False, 0, 0, 0, None, f"The session never began: {ended}")
     fault, path = saboteur.fault, saboteur.path
     recording = read(path, allow_damage=True)
     replayed = replaying.replay(path, None, None, True, lambda *_: None)
     counts = replayed["replay"]
     wrong = sum(counts[what] - counts[f"{what}_equal"] for what in ("electrodes", "verdicts", "actions"))
-    expected = saboteur.n_moves_before() if fault.ends_run else saboteur.heard.moves
+    expected = saboteur.n_moves_before() if ended else saboteur.heard.moves
     lost = max(0, expected - len(recording.of(MoveOnset)))
     complete = saboteur.heard.end is not None and saboteur.heard.end.reason == "complete" and not ended
-    survived = bool(ended) if fault.ends_run else complete
+    survived = bool(ended) if fault.ends_run and saboteur.acted else complete
     went_on, acted = saboteur.supervisor.went_on_at, saboteur.acted
     recovery = went_on - acted if acted is not None and went_on > acted else None
     text = "; ".join([*replayed["differences"][:1], *([ended] if ended and not fault.ends_run else [])])

@@ -10,6 +10,7 @@ from bci_app.protocol import (
     Action,
     AnyMessage,
     BlockEnd,
+    Continued,
     Electrodes,
     EpisodeEnd,
     MoveOnset,
@@ -23,6 +24,10 @@ from bci_app.protocol import (
     Verdict,
 )
 from bci_app.recording import Recording
+from bci_app.said import place_after
+
+Key = tuple[int, int]
+"""(episode, step)."""
 
 
 @dataclass(frozen=True)
@@ -60,18 +65,18 @@ class Heard:
     def __init__(self, roles: Sequence[Role]) -> None:
         self._roles = roles
         self._states: dict[str, Status] = {}
-        self._episodes = 0
-        self._actions = 0
+        self._episodes: set[int] = set()  # that have ended
+        self._actions: set[Key] = set()
+        self._moves: set[Key] = set()
+        self._verdicts: dict[Key, str] = {}
         self.start: SessionStart | None = None
         self.end: SessionEnd | None = None
-        self.moves = 0
-        self.verdicts: Counter[str] = Counter()
         self.rejected_in_a_row = 0
         self.last_reason: str | None = None
         self.blocks = 0
         """Blocks that are over."""
-        self.is_paused = False
-        """Whether the stimulus waits, for a person or for a process."""
+        self.is_paused = self.is_paused_by_person = False
+        """Whether the stimulus waits; and whether for a person's key."""
         self.bad: tuple[str, ...] = ()
         """Channels that are repaired at present."""
         self.ending: tuple[Literal["interrupted", "failed"], str] | None = None
@@ -90,23 +95,51 @@ class Heard:
             case SessionEnd():
                 self.end = message
             case Pause():
-                self.is_paused = True
+                self.is_paused, self.is_paused_by_person = True, message.by_person
             case Resume():
-                self.is_paused = False
+                self.is_paused = self.is_paused_by_person = False
+            case Continued():
+                self._drop_void(message)
             case MoveOnset():
-                self.moves += 1
+                self._moves.add((message.episode, message.step))
             case BlockEnd():
                 self.blocks += 1
             case EpisodeEnd():
-                self._episodes += 1
+                self._episodes.add(message.episode)
             case Electrodes():
                 self.bad = tuple(message.bad)
             case Verdict():
-                self.verdicts[message.outcome] += 1
-                self.rejected_in_a_row = self.rejected_in_a_row + 1 if message.outcome == "rejected" else 0
-                self.last_reason = message.reason
+                self._take_verdict(message)
             case Action():
-                self._actions += 1
+                self._actions.add((message.episode, message.step))
+
+    def _take_verdict(self, verdict: Verdict) -> None:
+        """Of two on one move, from a decoder that was started again, the first counts."""
+        key = verdict.episode, verdict.step
+        if key in self._verdicts:
+            return
+        self._verdicts[key] = verdict.outcome
+        self.last_reason = verdict.reason
+        if verdict.outcome != "rejected":
+            self.rejected_in_a_row = 0
+        elif not verdict.by_time:  # what came too late says nothing about the EEG
+            self.rejected_in_a_row += 1
+
+    def _drop_void(self, continued: Continued) -> None:
+        place = place_after(continued)
+        self._moves = {key for key in self._moves if key <= place}
+        self._verdicts = {key: outcome for key, outcome in self._verdicts.items() if key <= place}
+        self._actions = {(episode, step) for episode, step in self._actions if (episode, step - 1) <= place}
+
+    @property
+    def moves(self) -> int:
+        """Moves that count."""
+        return len(self._moves)
+
+    @property
+    def verdicts(self) -> Counter[str]:
+        """How many of each outcome."""
+        return Counter(self._verdicts.values())
 
     def all_ready(self) -> bool:
         """Whether every process says that it is connected to those it needs."""
@@ -118,7 +151,7 @@ class Heard:
 
     def all_judged(self) -> bool:
         """Whether every move has its verdict."""
-        return self.verdicts.total() >= self.moves
+        return self._moves <= self._verdicts.keys()
 
     def whereabouts(self) -> str:
         """One sentence on where each process is, for when it doesn't go on."""
@@ -139,16 +172,20 @@ class Heard:
         if self.start.n_moves:
             return f"calibration{trouble}", self.moves - rejected, self.start.n_moves
         where = stimulus.text if stimulus else ""
-        return f"online, {where}{trouble}", self._episodes, self.start.n_episodes or 1
+        return f"online, {where}{trouble}", len(self._episodes), self.start.n_episodes or 1
 
     def missing_in(self, recording: Recording) -> list[str]:
         """What was heard but is not in the recording, and what is damaged in it, in sentences."""
-        counts = (
-            ("moves", self.moves, len(recording.of(MoveOnset))),
-            ("verdicts", self.verdicts.total(), len(recording.of(Verdict))),
-            ("actions", self._actions, len(recording.of(Action))),
+        heard: tuple[tuple[str, set[Key], type[MoveOnset | Verdict | Action]], ...] = (
+            ("moves", self._moves, MoveOnset),
+            ("verdicts", set(self._verdicts), Verdict),
+            ("actions", self._actions, Action),
         )
-        lost = [f"{heard - found} of {heard} {name} are not in it." for name, heard, found in counts if found < heard]
+        lost = []
+        for name, keys, kind in heard:
+            missing = keys - {(message.episode, message.step) for _, message in recording.of(kind)}
+            if missing:
+                lost.append(f"{len(missing)} of {len(keys)} {name} are not in it.")
         return [*lost, *recording.damage]
 
     def outcome(self, recording: Path, outlook: tuple[str, ...] = ()) -> Outcome:
@@ -162,7 +199,7 @@ class Heard:
             text=text,
             moves=self.moves,
             verdicts=dict(self.verdicts),
-            actions=self._actions,
+            actions=len(self._actions),
             notes=tuple(self.notes),
             outlook=outlook,
         )

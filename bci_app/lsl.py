@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 from uuid import uuid4
 
 import numpy as np
@@ -29,6 +29,14 @@ if "LSLAPICFG" not in os.environ and not any(path.exists() for path in USUAL_PLA
 
 OPEN_TIMEOUT_S = 10.0
 """Real seconds a stream that was just resolved may take to open, and to describe itself."""
+
+
+EegInfo: TypeAlias = pylsl.StreamInfo
+"""A stream as it was found on the network."""
+
+
+class NoStream(SetupError):
+    """No EEG stream was found."""
 
 
 def local_clock() -> float:
@@ -156,16 +164,23 @@ class EegInlet:
         samples, stamps = self._inlet.pull_chunk(timeout=timeout, max_samples=4096, min_samples=1, as_numpy=True)
         return self.description.in_microvolts(samples), np.array(stamps)
 
-    def check_unchanged(self) -> None:
-        """After an interruption: LSL reconnects to whatever has the source id; raise SetupError if it has changed."""
+    def is_unchanged(self, timeout: float) -> bool:
+        """After an interruption: LSL reconnects to whatever has the source id. False where it doesn't answer within
+        `timeout` real seconds; raises SetupError if it has changed."""
         same = f"name={_quoted(self.description.name)} and source_id={_quoted(self.description.source_id)}"
-        found = pylsl.resolve_bypred(same, 1, OPEN_TIMEOUT_S)
-        now = describe(found[0]) if found else None
+        found = pylsl.resolve_bypred(same, 1, timeout)
+        if not found:
+            return False
+        try:
+            now = describe(found[0], timeout)
+        except LinkLost:
+            return False
         if now != self.description:
             raise SetupError(
                 f"Stream '{self.description.name}' came back changed: expected {self.description}, found {now}. "
                 "Restore the amplifier's settings and start the run again; what was recorded is kept."
             )
+        return True
 
     def clock_correction(self) -> float:
         """Seconds to add to the amplifier's stamps to put them on this machine's clock."""
@@ -186,7 +201,7 @@ def find_eeg(config: EegConfig, timeout: float) -> pylsl.StreamInfo:
         found = pylsl.resolve_bypred(predicate, 2, min(1.0, timeout))
     if not found:
         others = ", ".join(sorted({f"'{info.name()}' ({info.type()})" for info in pylsl.resolve_streams(1.0)}))
-        raise SetupError(
+        raise NoStream(
             f"No EEG stream: expected one with {predicate}, found {others or 'no stream at all'}. "
             "Start the amplifier's LSL connector on this network, or name its stream in the configuration ([eeg])."
         )
@@ -199,9 +214,9 @@ def find_eeg(config: EegConfig, timeout: float) -> pylsl.StreamInfo:
     return found[0]
 
 
-def describe(info: pylsl.StreamInfo) -> EegDescription:
-    """The full header of a resolved EEG stream. Raises LinkLost when the stream doesn't answer."""
-    return _describe(pylsl.StreamInlet(info, recover=False), info.name())
+def describe(info: EegInfo, timeout: float = OPEN_TIMEOUT_S) -> EegDescription:
+    """The full header of a resolved EEG stream. Raises LinkLost when it doesn't answer in `timeout` real seconds."""
+    return _describe(pylsl.StreamInlet(info, recover=False), info.name(), timeout)
 
 
 def finds_streams(timeout: float) -> bool:
@@ -228,9 +243,9 @@ def all_streams(wait_s: float = 1.0) -> list[dict[str, str | int | float]]:
     ]
 
 
-def _describe(inlet: pylsl.StreamInlet, name: str) -> EegDescription:
+def _describe(inlet: pylsl.StreamInlet, name: str, timeout: float = OPEN_TIMEOUT_S) -> EegDescription:
     try:
-        info = inlet.info(OPEN_TIMEOUT_S)
+        info = inlet.info(timeout)
     except (pylsl.util.TimeoutError, pylsl.util.LostError) as error:
         raise LinkLost(f"Stream '{name}' was announced but doesn't answer. Restart its sender.") from error
     n_channels = info.channel_count()

@@ -112,8 +112,8 @@ class Continued(Message):
     type: Literal["Continued"] = "Continued"
     episode: Annotated[int, Field(ge=-1)]
     """-1 before the first."""
-    step: Index
-    """Moves of the episode that count; 0 before its first."""
+    step: Index | None = None
+    """Moves of the episode that count; None where it is over."""
 
 
 class SessionEnd(Message):
@@ -213,7 +213,7 @@ class Action(Message):
 
 
 class Status(Message):
-    """How a process is doing; repeated every second, so that late listeners hear it."""
+    """How a process is doing; repeated every half second, so that late listeners hear it."""
 
     type: Literal["Status"] = "Status"
     role: Role

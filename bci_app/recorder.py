@@ -40,10 +40,26 @@ class Recorder:
         self._heard = threading.Condition()
 
     def start(self) -> None:
-        """Start recording all streams. Raises SetupError for an existing file, LinkLost for a missing stream."""
+        """Start recording all streams. Raises SetupError for an existing file, LinkLost for a missing stream.
+
+        LabRecorder looks for each stream for a moment only: one that it missed it is asked to find once more.
+        """
         if self.path.exists():
             raise SetupError(f"{self.path} exists already and is not overwritten. Choose another run.")
         self.path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            self._launch()
+        except LinkLost:
+            if self._process is None or UNMATCHED not in self._said:
+                raise
+            # The session hasn't begun, so what is in the file is nobody's recording.
+            self.kill()
+            self._process.wait()
+            self.path.unlink(missing_ok=True)
+            self._said = ""
+            self._launch()
+
+    def _launch(self) -> None:
         program = LabRecorder()._labrecorder_cli_path
         blocked = hasattr(signal, "pthread_sigmask")
         if blocked:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from bci_app.eeg import EegDescription
 from bci_app.errors import SetupError
-from bci_app.protocol import STREAMS, BadMessage, Message, decode
-from bci_app.runs import changed_since
+from bci_app.protocol import STREAMS, BadMessage, Message, Verdict, decode
+from bci_app.runs import known_of
 from bci_app.said import without_void
 from bci_app.xdf import MAGIC, salvage
 
@@ -55,6 +55,15 @@ class Recording:
         return [(item.stamp, item.message) for item in self.messages if isinstance(item.message, kind)]
 
 
+def first_verdicts(recording: Recording) -> dict[tuple[int, int], Verdict]:
+    """The verdict on each move, by (episode, step). Where a decoder was started again there may be two: the first
+    counts, for the policy had acted on it."""
+    found: dict[tuple[int, int], Verdict] = {}
+    for _, verdict in recording.of(Verdict):
+        found.setdefault((verdict.episode, verdict.step), verdict)
+    return found
+
+
 def read(path: Path, allow_damage: bool = False, eeg_type: str = "EEG") -> Recording:
     """Read a recording of ours; `eeg_type` is the LSL type of its EEG stream.
 
@@ -80,14 +89,14 @@ def _load(path: Path) -> tuple[list[dict[str, Any]], list[str]]:
     """All streams, as far as they are whole, and what isn't, in sentences."""
     try:
         data = path.read_bytes()
-        rotten = changed_since(path)
+        known = known_of(path, data)
     except OSError as error:
         raise SetupError(f"Can't read the recording {path}: {error.strerror}.") from error
     if not data:
         raise SetupError(f"{path} is empty; expected an XDF recording.")
     if not data.startswith(MAGIC):
         raise SetupError(f"{path} is not an XDF recording: it starts with {data[:4]!r}, expected {MAGIC!r}.")
-    salvaged = salvage(data, rotten)
+    salvaged = salvage(data, known.changed, known.headers)
     try:
         streams, _ = pyxdf.load_xdf(salvaged.file, synchronize_clocks=False, dejitter_timestamps=False)
     except Exception as error:  # pyxdf raises whatever its parser met; the reason is in the message

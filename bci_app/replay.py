@@ -17,7 +17,7 @@ from bci_app.gridworld import GridWorld, compile_map
 from bci_app.moves import cut_moves, electrodes, judges
 from bci_app.progress import Progress
 from bci_app.protocol import Action, Electrodes, EpisodeEnd, EpisodeStart, MoveOnset, SessionEnd, SessionStart, Verdict
-from bci_app.recording import Recording, read
+from bci_app.recording import Recording, first_verdicts, read
 from bci_app.runs import check_untouched, checksum, eeg_type, read_sidecar
 from bci_app.told import Told
 
@@ -116,7 +116,7 @@ def _verdicts(
     from decoder.model import load
 
     path = _file_of_run(recording.path, sidecar, "model", model)
-    recorded = {(verdict.episode, verdict.step): verdict for _, verdict in recording.of(Verdict)}
+    recorded = first_verdicts(recording)
     session = next(iter(recorded.values())).session if recorded else ""
     unfinished, is_cut = _unfinished(recording, max(recorded, default=(0, 0))), not recording.of(SessionEnd)
     eeg = recording.eeg

@@ -12,10 +12,9 @@ from typing import Any
 from zlib import crc32
 
 from bci_app.errors import SetupError
+from bci_app.xdf import STREAM_HEADER, Chunk, Chunks
 
 LABEL = re.compile(r"[A-Za-z0-9]+\Z")
-SUM_BYTES = 1 << 16
-"""Bytes of a recording that have a checksum of their own: half a second of 64 channels at 500 Hz (decided)."""
 PACKAGES = (
     "errp-bci",
     "numpy",
@@ -166,43 +165,60 @@ def check_untouched(recording: Path, sidecar: dict[str, Any]) -> None:
 
 
 def write_sums(recording: Path) -> None:
-    """Write down a CRC-32 of each `SUM_BYTES` of a closed recording, so that later damage can be told to its place."""
+    """Write down a CRC-32 of each chunk of a closed recording, and its streams' headers, so that later damage can be
+    told to its place, and that of a header mended."""
     path, data = sums_of(recording), recording.read_bytes()
-    lines = [f"crc32 of each {SUM_BYTES} bytes of {recording.name}", *_sums(data)]
+    chunks = [item for item in Chunks(data) if isinstance(item, Chunk)]
+    sums = [f"{chunk.start} {chunk.stop} {crc32(data[chunk.start : chunk.stop]):08x}" for chunk in chunks]
+    headers = [data[chunk.start : chunk.stop].hex() for chunk in chunks if chunk.tag == STREAM_HEADER]
+    content = {"of": recording.name, "bytes": len(data), "start stop crc32": sums, "stream headers": headers}
     try:
         with path.open("x", encoding="utf-8") as file:
-            file.write("\n".join(lines) + "\n")
+            json.dump(content, file, indent=0)
     except OSError as error:
         raise SetupError(f"Can't write {path}: {error.strerror}. Is the disk full, or locked?") from error
 
 
-def changed_since(recording: Path) -> tuple[tuple[int, int], ...]:
-    """Bytes, as (start, stop), at which a recording isn't what it was when it was closed; none where that isn't known.
+@dataclass(frozen=True)
+class Known:
+    """What was written down when a recording was closed.
 
-    Raises SetupError when what was written down then can't be read.
+    Attributes
+    ----------
+    changed : (start, stop) of the chunks that aren't what they were; of one that was cut only its structure tells.
+    headers : the chunks with the streams' headers.
+    """
+
+    changed: tuple[tuple[int, int], ...] = ()
+    headers: tuple[bytes, ...] = ()
+
+
+def known_of(recording: Path, data: bytes) -> Known:
+    """What is known of a recording that holds `data` now; nothing where it was never closed.
+
+    Raises SetupError when what was written down can't be read.
     """
     path = sums_of(recording)
     if not path.exists():
-        return ()
+        return Known()
     try:
-        expected = path.read_text(encoding="utf-8").splitlines()[1:]
-    except (OSError, UnicodeDecodeError) as error:
-        raise SetupError(f"Can't read the checksums {path}: {error}. Restore or remove the file.") from error
-    found = _sums(recording.read_bytes())
-    return tuple(
-        (number * SUM_BYTES, (number + 1) * SUM_BYTES)
-        for number, (before, now) in enumerate(zip(expected, found, strict=False))
-        if before != now
-    )
+        content = json.loads(path.read_text(encoding="utf-8"))
+        sums = [(int(start), int(stop), text) for start, stop, text in map(str.split, content["start stop crc32"])]
+        headers = tuple(bytes.fromhex(text) for text in content["stream headers"])
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise SetupError(
+            f"The checksums {path} can't be read ({type(error).__name__}: {error}). Restore the file, or remove it: "
+            "then damage is found only where the recording contradicts itself."
+        ) from error
+    changed = [
+        (start, stop) for start, stop, text in sums if stop <= len(data) and f"{crc32(data[start:stop]):08x}" != text
+    ]
+    return Known(tuple(changed), headers)
 
 
 def sums_of(recording: Path) -> Path:
     """Path of the checksums beside a recording."""
-    return recording.with_suffix(".crc32")
-
-
-def _sums(data: bytes) -> list[str]:
-    return [f"{crc32(data[start : start + SUM_BYTES]):08x}" for start in range(0, len(data), SUM_BYTES)]
+    return recording.with_suffix(".chunks.json")
 
 
 def checksum(path: Path) -> str:

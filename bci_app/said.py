@@ -29,12 +29,6 @@ Place = tuple[int, float]
 """(episode, step): how far a run was when something was said; an episode's end lies behind all of its steps."""
 T = TypeVar("T")
 
-_OF_THE_EPISODE = {
-    "decoder": (EpisodeStart, MoveOnset, Electrodes, Verdict),
-    "policy": (EpisodeStart, MoveOnset, Verdict, Action),
-}
-"""What these two must know, of the last episode only; a stimulus must know everything."""
-
 
 def place_of(message: Message) -> Place | None:
     """How far the run was; None for what belongs to no place."""
@@ -50,10 +44,15 @@ def place_of(message: Message) -> Place | None:
     return None
 
 
+def place_after(continued: Continued) -> Place:
+    """The last place that counts."""
+    return continued.episode, float("inf") if continued.step is None else continued.step
+
+
 def is_void(message: Message, continued: Continued) -> bool:
     """Whether something said before doesn't count any more."""
     place = place_of(message)
-    return place is not None and place > (continued.episode, continued.step)
+    return place is not None and place > place_after(continued)
 
 
 def without_void(items: Iterable[T], message_of: Callable[[T], Message]) -> list[T]:
@@ -84,14 +83,40 @@ class Memory:
     def recall(self, role: Role) -> Recall:
         """What a process in this role must know."""
         said = sorted(self._said, key=lambda item: item.stamp)
-        kinds = _OF_THE_EPISODE.get(role)
-        if kinds is not None:
-            opening = [item for item in said if isinstance(item.message, SessionStart)]
-            said = opening + [item for item in _last_episode(said) if isinstance(item.message, kinds)]
+        match role:
+            case "policy":
+                said = [*_openings(said), *_last_episode(said, (EpisodeStart, MoveOnset, Verdict, Action))]
+            case "decoder":
+                said = [*_openings(said), *_unjudged(said), *_last_episode(said, (EpisodeStart, MoveOnset, Verdict))]
+                said += _last_decision(self._said)
         return Recall(session=self._session, role=role, said=tuple(said))
 
 
-def _last_episode(said: Sequence[Said]) -> list[Said]:
-    numbers = [item.message.episode for item in said if isinstance(item.message, EpisodeStart)]
-    last = numbers[-1] if numbers else None
-    return [item for item in said if getattr(item.message, "episode", None) == last and last is not None]
+def _openings(said: Sequence[Said]) -> list[Said]:
+    return [item for item in said if isinstance(item.message, SessionStart)]
+
+
+def _last_number(said: Sequence[Said]) -> int | None:
+    return max((item.message.episode for item in said if isinstance(item.message, EpisodeStart)), default=None)
+
+
+def _last_episode(said: Sequence[Said], kinds: tuple[type[Message], ...]) -> list[Said]:
+    last = _last_number(said)
+    return [item for item in said if isinstance(item.message, kinds) and getattr(item.message, "episode", None) == last]
+
+
+def _unjudged(said: Sequence[Said]) -> list[Said]:
+    """Moves of earlier episodes that have no verdict."""
+    judged = {(item.message.episode, item.message.step) for item in said if isinstance(item.message, Verdict)}
+    return [
+        item
+        for item in said
+        if isinstance(item.message, MoveOnset)
+        and item.message.episode != _last_number(said)
+        and (item.message.episode, item.message.step) not in judged
+    ]
+
+
+def _last_decision(said: Sequence[Said]) -> list[Said]:
+    """What holds of the electrodes, whatever episode it was decided in."""
+    return [item for item in said if isinstance(item.message, Electrodes)][-1:]

@@ -32,14 +32,13 @@ from bci_app.protocol import (
     VERDICTS,
     Command,
     Role,
-    StreamSpec,
     simulated_source_id,
 )
 from bci_app.recorder import Recorder
 from bci_app.recording import read
 from bci_app.resuming import Stopped
 from bci_app.runs import Run, checksum, versions, write_sidecar, write_sums
-from bci_app.supervisor import Supervisor
+from bci_app.supervisor import STREAM_OF, Supervisor
 from bci_app.xdf import Follower
 
 READY_TIMEOUT_S = 90.0
@@ -63,12 +62,6 @@ REJECTED_IN_A_ROW = 10
 ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 TAIL_S = 1.5
 """Real seconds between the last message and closing the file: LabRecorder writes in batches of half a second."""
-STREAM_OF: dict[Role, StreamSpec] = {
-    "stimulus": STIMULUS,
-    "decoder": VERDICTS,
-    "policy": ACTIONS_STREAM,
-    "amplifier": AMPLIFIER_NOTES,
-}
 Task = Literal["calibration", "online"]
 
 
@@ -352,7 +345,8 @@ class _Conductor:
         self.follower.look()
         if self.follower.n_bytes > self.size:
             self.size, self.grew_at = self.follower.n_bytes, now
-        if now - self.grew_at > (GROW_PAUSED_S if self.supervisor.waits_for else GROW_TIMEOUT_S):
+        if now - self.grew_at > (GROW_PAUSED_S if self.supervisor.lacks_eeg else GROW_TIMEOUT_S):
+            self.recorder.kill()  # it hangs, and would hang when it is told to close the file
             self._halt(
                 f"{self.plan.run.xdf} has stopped growing at {self.size} bytes: the disk is full or LabRecorder hangs."
             )
@@ -422,7 +416,10 @@ class _Conductor:
             self.missing = self.heard.missing_in(read(path, True, self.config.eeg.stream_type))
         except SetupError as error:
             self.missing = [str(error)]
-        write_sums(path)
+        try:
+            write_sums(path)
+        except SetupError as error:
+            self.missing.append(str(error))
         return told | {"sha256": checksum(path), "bytes": path.stat().st_size, "missing": self.missing}
 
     def outcome(self) -> Outcome:

@@ -9,11 +9,29 @@ from bci_app.errors import LinkLost
 from bci_app.heard import Heard
 from bci_app.lsl import Received, local_clock
 from bci_app.peer import Peer
-from bci_app.protocol import STREAMS, Command, Returned, Role, Status
+from bci_app.protocol import (
+    ACTIONS_STREAM,
+    AMPLIFIER_NOTES,
+    STIMULUS,
+    STREAMS,
+    VERDICTS,
+    Command,
+    Returned,
+    Role,
+    Status,
+    StreamSpec,
+)
 from bci_app.said import Memory
 from bci_app.wellness import HANGS_S, MOST_FAILURES, WITHIN_S, Wellness
 from bci_app.xdf import Follower
 
+STREAM_OF: dict[Role, StreamSpec] = {
+    "stimulus": STIMULUS,
+    "decoder": VERDICTS,
+    "policy": ACTIONS_STREAM,
+    "amplifier": AMPLIFIER_NOTES,
+}
+"""On which stream each process speaks."""
 EEG_PAUSE_S = 1.2
 """Real seconds without EEG in the file that are no accident of its writing, every half second (decided)."""
 AGAIN_S = 0.5
@@ -65,6 +83,11 @@ class Supervisor:
         self.went_on_at = 0.0
         """Real time at which the stimulus last went on after it had to wait."""
 
+    @property
+    def lacks_eeg(self) -> bool:
+        """Whether there is no EEG to record at present."""
+        return self._wellness.lacks_eeg()
+
     def take(self, role: Role, item: Received) -> None:
         """Take in a message of a process."""
         message = item.message
@@ -97,10 +120,11 @@ class Supervisor:
 
     def _failures(self, now: float) -> dict[Role, str]:
         """Processes that have died, or hang and have been ended, and how."""
-        has_begun = self._heard.start is not None
+        # What was said when is told by stamps, and those of several computers can't be compared.
+        has_begun = self._heard.start is not None and not self._remote
         failed = self._crew.check(may_be_mended=has_begun)
         for role in self._wellness.hanging(now):
-            if role in self._remote or not has_begun:
+            if not has_begun:
                 raise LinkLost(f"No word from the {role} process for {HANGS_S:g} s: it hangs or is cut off.")
             if role not in failed and role not in self._crew.ended():
                 self._crew.kill(role)
@@ -123,7 +147,9 @@ class Supervisor:
         """
         for role, stamp in list(self._returned.items()):
             others = [other for other in self._roles if other != role and self._wellness.is_back(other)]
-            if all(self._newest.get(other, stamp) > stamp for other in others):
+            is_all_here = all(self._newest.get(other, stamp) > stamp for other in others)
+            # Its answer to what it is told must reach everybody, and the recording.
+            if is_all_here and self._wellness.hear_again(role) and not self._is_unrecorded(STREAM_OF[role]):
                 self._peer.push(self.memory.recall(role))
                 del self._returned[role]
 
@@ -141,10 +167,15 @@ class Supervisor:
             self._is_waited_for = True
         elif self._is_waited_for and not self._heard.is_paused:
             self._is_waited_for, self.went_on_at = False, now
-        if (troubles or self._heard.is_paused) and now - self._commanded_at > AGAIN_S:
+        is_to_go_on = self._heard.is_paused and not self._heard.is_paused_by_person
+        if (troubles or is_to_go_on) and now - self._commanded_at > AGAIN_S:
             self._commanded_at = now
             command: Literal["pause", "resume"] = "pause" if troubles else "resume"
             self._peer.push(Command(session=self._peer.session, command=command, text=self.waits_for or ""))
+
+    def _is_unrecorded(self, spec: StreamSpec) -> bool:
+        self._unrecorded()
+        return spec.source_id(self._peer.session) in self._awaited
 
     def _unrecorded(self) -> list[str]:
         """Streams of processes that were started again and haven't come into the file yet."""

@@ -11,6 +11,7 @@ from bci_app.protocol import (
     ACTIONS_STREAM,
     SESSION,
     STIMULUS,
+    STREAMS,
     TRUTH,
     VERDICTS,
     Role,
@@ -64,9 +65,11 @@ class Wellness:
         known = self._known[role]
         if stamp < known.returned:  # of the process before
             return
-        known.spoke_at, known.may_be_silent_until = now, 0.0
+        known.spoke_at = now
         if status is not None:
             known.status = status
+            if status.state != "waiting":  # what it loads and looks for may take a while without a word
+                known.may_be_silent_until = 0.0
 
     def failed(self, role: Role, now: float, stamp: float) -> bool:
         """A process has failed and is started again at real time `now`; False where that is of no use any more."""
@@ -87,6 +90,22 @@ class Wellness:
     def is_back(self, role: Role) -> bool:
         """Whether a process that was started again has spoken."""
         return self._known[role].status is not None
+
+    def lacks_eeg(self) -> bool:
+        """Whether the decoder waits for EEG, or the amplifier's process is being started again."""
+        decoder, amplifier = self._known["decoder"].status, self._known["amplifier"].status
+        has_no_amplifier = "amplifier" in self.roles and amplifier is None
+        return has_no_amplifier or decoder is None or decoder.state == "waiting"
+
+    def hear_again(self, role: Role) -> bool:
+        """Whether everybody who must hear a process that was started again does."""
+        names = {spec.name for spec in STREAMS if spec.role == role}
+        return not any(
+            name in names
+            for other in self.roles
+            if other != role and (status := self._known[other].status) is not None
+            for name in self._unheard(other, status)
+        )
 
     def troubles(self) -> list[str]:
         """Why the stimulus must wait, in sentences; none where all is well."""

@@ -6,6 +6,7 @@ length, a tag of two bytes, and for most the number of its stream.
 
 import struct
 import xml.etree.ElementTree as ElementTree
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -78,12 +79,19 @@ class Chunks:
     ----------
     data : the whole file.
     rotten : (start, stop) of bytes that are known to have changed: no chunk with one of them is whole.
+    headers : chunks with headers of streams that are known from elsewhere.
     """
 
-    def __init__(self, data: bytes, rotten: tuple[tuple[int, int], ...] = ()) -> None:
+    def __init__(self, data: bytes, rotten: tuple[tuple[int, int], ...] = (), headers: tuple[bytes, ...] = ()) -> None:
         self._data = data
-        self._rotten = rotten
+        self._rotten = sorted(rotten)
+        self._rotten_starts = [start for start, _ in self._rotten]
         self.headers: dict[int, Header] = {}
+        for known in headers:
+            chunk = header_at(known, 0)
+            header = _header(known[chunk.content : chunk.stop]) if chunk else None
+            if chunk is not None and header is not None:
+                self.headers[chunk.stream] = header
 
     def __iter__(self) -> Iterator[Chunk | Damage]:
         """Whole chunks in order, and what lies between them."""
@@ -112,11 +120,15 @@ class Chunks:
                 return start
         return len(self._data)
 
+    def _is_rotten(self, chunk: Chunk) -> bool:
+        before = bisect_left(self._rotten_starts, chunk.stop)
+        return before > 0 and self._rotten[before - 1][1] > chunk.start
+
     def _whole(self, at: int) -> Chunk | None:
         chunk = header_at(self._data, at)
         if chunk is None or chunk.stop > len(self._data):
             return None
-        if any(start < chunk.stop and chunk.start < stop for start, stop in self._rotten):
+        if self._is_rotten(chunk):
             return None
         if chunk.tag in _OF_A_STREAM and chunk.tag != STREAM_HEADER and chunk.stream not in self.headers:
             return None
@@ -216,9 +228,13 @@ class Salvaged:
     damage: tuple[Damage, ...]
 
 
-def salvage(data: bytes, rotten: tuple[tuple[int, int], ...] = ()) -> Salvaged:
-    """A file without its damaged chunks, and without samples whose stamps can't be known any more because of them."""
-    kept, damage, chunks = [MAGIC], [], Chunks(data, rotten)
+def salvage(data: bytes, rotten: tuple[tuple[int, int], ...] = (), headers: tuple[bytes, ...] = ()) -> Salvaged:
+    """A file without its damaged chunks, and without samples whose stamps can't be known any more because of them.
+
+    A stream's header that is damaged is taken from `headers`, where it is among them.
+    """
+    kept, damage, chunks = [MAGIC, *headers], [], Chunks(data, rotten, headers)
+    known = {chunk.stream for header in headers if (chunk := header_at(header, 0))}
     unsure: set[int] = set()  # streams of which the sample before may be lost
     for item in chunks:
         if isinstance(item, Damage):
@@ -231,7 +247,7 @@ def salvage(data: bytes, rotten: tuple[tuple[int, int], ...] = ()) -> Salvaged:
             if first < item.stop:
                 unsure.discard(item.stream)
                 kept.append(_from_sample(data, item, n_unstamped, first))
-        else:
+        elif item.tag != STREAM_HEADER or item.stream not in known:
             kept.append(data[item.start : item.stop])
     return Salvaged(BytesIO(b"".join(kept) if damage else data), tuple(damage))
 

@@ -2,9 +2,10 @@
 
     python benchmarks/recording_damage.py RECORDING.xdf [--places 200]
 
-The recording is one of bci-app's, with its checksums (.crc32) beside it. It is cut at random places, as by a power
-failure (then there are no checksums), and 64 bytes of it are overwritten at random places (then there are). `whole` is
-how many of the chunks that weren't touched were read again, `silent` in how many files nothing was reported.
+The recording is one of bci-app's, with its checksums (.chunks.json) beside it. It is cut at random places behind its
+headers, as by a power failure (then there are no checksums) or later (then there are), and 64 bytes of it are
+overwritten at random places, headers and all. A file counts as read where all EEG samples of all chunks that weren't
+touched were read, and no others; as silent where no damage was reported.
 """
 
 import argparse
@@ -17,9 +18,9 @@ import numpy as np
 
 from bci_app.errors import SetupError
 from bci_app.recording import read
-from bci_app.runs import SUM_BYTES, sums_of
+from bci_app.runs import sums_of
 from bci_app.terminal import progress_bar
-from bci_app.xdf import SAMPLES, Chunk, Chunks, unstamped
+from bci_app.xdf import MAGIC, SAMPLES, Chunk, Chunks, unstamped
 
 N_BYTES = 64
 
@@ -83,21 +84,20 @@ def main() -> None:
     data, rows = original.data, []
     with TemporaryDirectory() as folder, progress_bar(quiet=False) as show:
         path = Path(folder) / options.recording.name
-        for kind in ("cut", "overwritten"):
+        for kind in ("cut while written", "cut later", "overwritten"):
             found = []
-            for number, at in enumerate(
-                rng.integers(original.headers_end, len(data) - N_BYTES, options.places).tolist()
-            ):
+            first = len(MAGIC) if kind == "overwritten" else original.headers_end
+            for number, at in enumerate(rng.integers(first, len(data) - N_BYTES, options.places).tolist()):
                 show(kind, number, options.places)
-                if kind == "cut":
+                if kind == "overwritten":
+                    path.write_bytes(data[:at] + rng.bytes(N_BYTES) + data[at + N_BYTES :])
+                    untouched = [c for c in original.chunks if c.stop <= at or c.start >= at + N_BYTES]
+                else:
                     path.write_bytes(data[:at])
                     untouched = [chunk for chunk in original.chunks if chunk.stop <= at]
-                else:
-                    path.write_bytes(data[:at] + rng.bytes(N_BYTES) + data[at + N_BYTES :])
+                sums_of(path).unlink(missing_ok=True)
+                if kind != "cut while written":
                     shutil.copy(sums_of(original.path), sums_of(path))
-                    # What is known to have changed is known to a block of checksums.
-                    first, last = at // SUM_BYTES * SUM_BYTES, -(-(at + N_BYTES) // SUM_BYTES) * SUM_BYTES
-                    untouched = [chunk for chunk in original.chunks if chunk.stop <= first or chunk.start >= last]
                 found.append(judged(path, original.expected(untouched)))
             whole, told, took = zip(*found, strict=True)
             rows.append((kind, len(found), sum(whole), len(found) - sum(told), max(took)))

@@ -17,6 +17,7 @@ from safetensors.numpy import save as save_tensors
 
 from bci_app.config import ChainConfig, ClassifierConfig
 from bci_app.errors import SetupError
+from bci_app.sealed import Damaged, card_of, seal
 from decoder.calibration import Calibration, Scores
 from decoder.chain import Chain
 from decoder.classifier import LinearClassifier
@@ -27,7 +28,7 @@ from decoder.operator import chain_operator
 
 Array = NDArray[np.float64]
 
-FORMAT_VERSION: Literal[3] = 3
+FORMAT_VERSION: Literal[4] = 4
 SUFFIX = ".safetensors"
 _KEY = "bci-app decoder"
 _LIBRARIES = ("numpy", "scipy", "scikit-learn", "mne", "errp-bci")
@@ -38,7 +39,7 @@ class ModelInfo(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    format: Literal[3] = FORMAT_VERSION
+    format: Literal[4] = FORMAT_VERSION
     participant: str
     channels: tuple[str, ...]
     """All that it takes from a stream, EOG channels too."""
@@ -142,7 +143,7 @@ def save(model: DecoderModel, path: Path) -> None:
     }
     if model.eyes:
         tensors |= {"ocular_sources": model.eyes.sources, "ocular_weights": model.eyes.weights}
-    contents = save_tensors(tensors, metadata={_KEY: model.info.model_dump_json()})
+    contents = seal(lambda words: save_tensors(tensors, metadata=words), _KEY, model.info.model_dump_json())
     try:
         with path.open("xb") as file:
             file.write(contents)
@@ -161,10 +162,11 @@ def load(path: Path) -> DecoderModel:
     except OSError as error:
         raise SetupError(f"Can't read the decoder {path}: {error}. Calibrate first, or give another path.") from error
     try:
-        tensors = load_tensors(contents)
+        # A damaged file is told from one of an older format, which has no checksum.
         info = ModelInfo.model_validate_json(_metadata(contents))
-        return _assemble(info, tensors)
-    except (SafetensorError, ValidationError, KeyError, ValueError) as error:
+        card_of(contents, _KEY)
+        return _assemble(info, load_tensors(contents))
+    except (SafetensorError, ValidationError, Damaged, KeyError, TypeError, ValueError, RecursionError) as error:
         older = _older_format(error)
         if older is not None:
             raise SetupError(

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from bci_app.clock import Clock
 from bci_app.config import Config
 from bci_app.errors import LinkLost, SetupError
-from bci_app.lsl import EegInlet, MessageInlet, find_eeg, local_clock
+from bci_app.lsl import EegInfo, EegInlet, MessageInlet, NoStream, find_eeg, local_clock
 from bci_app.peer import Peer
 from bci_app.protocol import (
     STIMULUS,
@@ -18,11 +18,11 @@ from bci_app.protocol import (
     EpisodeStart,
     MoveOnset,
     Recall,
-    Said,
     SessionEnd,
     SessionStart,
     Verdict,
 )
+from bci_app.said import is_void, place_after
 from decoder import model as models
 from decoder.drift import DriftWatch
 from decoder.electrodes import RECORDED_S, Examiner, changes
@@ -42,6 +42,8 @@ REJECTED_BEFORE_A_LOOK = 2
 ROUND_S = 0.25
 """Real seconds a round counts as listening, at most: a process that was stopped, or starved, has heard nothing, but
 what came meanwhile is still to be pulled (decided: rounds take 5 ms)."""
+FIND_S = 20.0
+"""Real seconds an EEG stream may take to be found (decided)."""
 LOST_S = 10.0
 """Real seconds an amplifier may take to deliver its first samples, and samples may be missing after the session's end
 (decided)."""
@@ -51,6 +53,8 @@ CLOCK_S = 5.0
 """Seconds the newest sample's stamp may be from now; buffers and networks delay by less (decided)."""
 LOOK_S = 3.0
 """Session seconds of EEG looked at before the decoder calls itself ready."""
+CHECK_S = 1.0
+"""Real seconds to ask a stream that came back what it is."""
 RATE_S = 10.0
 """Session seconds over which the rate is measured again and again."""
 
@@ -71,8 +75,9 @@ def run(
     """
     model = models.load(model_path) if model_path else None
     peer = Peer(VERDICTS, "decoder", session, clock, parent)
-    peer.say("waiting", "for an EEG stream")
-    eeg = EegInlet(find_eeg(config.eeg, timeout=20.0), config.eeg.buffer_s)
+    # One that takes a dead one's place may come while the amplifier is away.
+    patience = config.eeg.patience_s if returning else FIND_S
+    eeg = EegInlet(_find(config, peer, patience), config.eeg.buffer_s)
     judge = (
         judge_with(model, config, eeg.description, session)
         if model
@@ -80,12 +85,24 @@ def run(
     )
     watch = DriftWatch(model.held_out_log_odds, model.held_out_error) if model else None
     server = _Server(config, peer, eeg, judge, watch)
-    server.look()
+    server.look(patience if returning else LOST_S)
     stimulus = peer.wait_for(STIMULUS)
     if returning:
         server.recall(peer.remember())
     server.serve(stimulus)
     peer.linger()
+
+
+def _find(config: Config, peer: Peer, patience: float) -> EegInfo:
+    """The EEG stream, for which it is waited `patience` real seconds, aloud. Raises SetupError as `find_eeg` does."""
+    started = local_clock()
+    while True:
+        peer.say("waiting", "for an EEG stream")
+        try:
+            return find_eeg(config.eeg, timeout=1.0)
+        except NoStream:
+            if local_clock() - started > patience:
+                raise
 
 
 class _Server:
@@ -100,7 +117,7 @@ class _Server:
         picked = eeg.description.picked
         n_channels = len(picked)
         self._examiner = Examiner(peer.session, picked, eeg.description.sfreq)
-        self._electrodes: Electrodes | None = None
+        self._decisions: list[Electrodes] = []
         self._n_rejected = 0  # verdicts in a row since the electrodes were looked at
         self._recorded_since = -np.inf
         self._judges: dict[MoveKey, Judge] = {}
@@ -111,10 +128,11 @@ class _Server:
         self._silent = False
         self._whole_since = self._newest = np.inf  # stamps: from the one to the other no sample is missing
         self._is_short = False  # of EEG before the next move: the stimulus should wait
+        self._is_unchecked = False  # since it came back
         self._rate_times = np.empty(0)
         self._rate_is_off = False
 
-    def look(self) -> None:
+    def look(self, patience: float) -> None:
         """Take a few seconds of EEG to see that it is alive, on LSL's clock and at its rate."""
         description = self._eeg.description
         stamps = [np.empty(0)]
@@ -127,7 +145,7 @@ class _Server:
             self._buffer.push(samples, times)
             stamps.append(times)
             alive |= len(samples) > 0 and bool((samples != samples[:1]).any())
-            if self._quiet(len(times)) > LOST_S:
+            if self._quiet(len(times)) > patience:
                 raise SetupError(
                     f"Stream '{description.name}' is there but delivers no samples. Start the amplifier's acquisition."
                 )
@@ -149,22 +167,32 @@ class _Server:
 
     def recall(self, recall: Recall) -> None:
         """Go on where a decoder before this one ended: its electrodes, and the moves it left unjudged."""
-        moves: dict[MoveKey, Said] = {}
+        moves: dict[MoveKey, Verdict | None] = {}
+        episode = -1
         for item in recall.said:
             match item.message:
                 case SessionStart():
                     self._recorded_since = item.stamp - RECORDED_S
+                case EpisodeStart() as start:
+                    episode = start.episode
                 case Electrodes() as electrodes:
-                    self._electrodes, self._judge = electrodes, self._judge.with_bad(electrodes.bad)
+                    self._decide(electrodes)
                 case MoveOnset() as move:
-                    moves[move.episode, move.step] = item
+                    moves.setdefault((move.episode, move.step), None)
                 case Verdict() as verdict:
-                    moves.pop((verdict.episode, verdict.step), None)
-                    self._buffer.know((verdict.episode, verdict.step))
-        for key in moves:
+                    moves[verdict.episode, verdict.step] = verdict
+        if episode >= 0 and (self._electrodes is None or self._electrodes.episode < episode):
+            # It died before it had looked at them: what held before holds on.
+            bad = self._electrodes.bad if self._electrodes else {}
+            self._decide(Electrodes(session=self._peer.session, episode=episode, bad=bad))
+            self._peer.push(self._decisions[-1])
+        for key, verdict_before in moves.items():
             self._buffer.know(key)
-            reason = "the decoder was started again, and the move's samples were lost with the one before"
-            self._tell(self._judge.verdict(key, Rejection(reason, by_time=True), 0.0))
+            if verdict_before is None:
+                reason = "the decoder was started again, and the move's samples were lost with the one before"
+                self._tell(self._judge.verdict(key, Rejection(reason, by_time=True), 0.0))
+            elif key == max(moves):
+                self._peer.push(verdict_before)  # it may not have reached everybody
 
     def serve(self, stimulus: MessageInlet) -> None:
         """Judge moves until the session has ended and every move has its verdict."""
@@ -209,14 +237,23 @@ class _Server:
         """Decide which electrodes are bad; the moves from this one on are judged without them."""
         samples, times = self._buffer.trailing(self._examiner.n_window)
         self._n_rejected = 0
+        before = self._electrodes
         electrodes = self._examiner.examine(key, samples, times, self._recorded_since)
         self._peer.push(electrodes)
-        self._judge = self._judge.with_bad(electrodes.bad)
-        for sentence in changes(self._electrodes, electrodes):
+        self._decide(electrodes)
+        for sentence in changes(before, electrodes):
             self._peer.note("warning", sentence)
         if self._judge.unusable is not None:
             self._peer.note("error", self._judge.unusable)
-        self._electrodes = electrodes
+
+    @property
+    def _electrodes(self) -> Electrodes | None:
+        """The decision that holds."""
+        return self._decisions[-1] if self._decisions else None
+
+    def _decide(self, electrodes: Electrodes) -> None:
+        self._decisions.append(electrodes)
+        self._judge = self._judge.with_bad(electrodes.bad)
 
     def _expect(self, key: MoveKey, onset: float, offset: float) -> None:
         if not self._buffer.expect(key, onset + offset):
@@ -226,7 +263,11 @@ class _Server:
 
     def _forget_void(self, continued: Continued) -> None:
         """Moves that the stimulus, started again, doesn't remember come once more."""
-        self._buffer.forget(lambda key: key > (continued.episode, continued.step))
+        self._buffer.forget(lambda key: key > place_after(continued))
+        kept = [decision for decision in self._decisions if not is_void(decision, continued)]
+        if len(kept) < len(self._decisions):
+            self._decisions = kept
+            self._judge = self._judge.with_bad(kept[-1].bad if kept else {})
 
     def _answer(self, arrived: float) -> None:
         for key, result in self._buffer.poll():
@@ -262,12 +303,14 @@ class _Server:
         if len(times) and self._silent:
             self._silent = False
             self._peer.note("info", f"The EEG is back after {before:.1f} s.")
-            self._eeg.check_unchanged()
+            self._is_unchecked = True
         elif not self._silent and quiet > SILENCE_S:
             self._silent = self._is_short = True
             self._peer.note("error", f"No EEG sample for {SILENCE_S:g} s.")
         elif self._is_short and not self._silent and self._newest - self._whole_since >= self._lead_s():
-            self._is_short = False
+            # LSL has reconnected to whatever has the source id; where it can't be asked, it is asked again.
+            self._is_unchecked &= not self._eeg.is_unchanged(CHECK_S)
+            self._is_short = self._is_unchecked
         if quiet > PATIENCE_S:
             self._buffer.abandon("the EEG stream is silent")
         if quiet > self._config.eeg.patience_s:
@@ -294,7 +337,7 @@ class _Server:
         sfreq = self._eeg.description.sfreq
         if len(self._rate_times) < RATE_S * sfreq:
             return
-        rate, self._rate_times = measured_rate(self._rate_times), np.empty(0)
+        rate, self._rate_times = measured_rate(self._rate_times, sfreq), np.empty(0)
         is_off = not abs(rate / sfreq - 1) <= self._config.eeg.rate_tolerance
         sentence = f"Stream '{self._eeg.description.name}' drifted from {sfreq:g} Hz to {rate:.1f} Hz."
         if is_off and self._rate_is_off:

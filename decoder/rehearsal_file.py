@@ -5,13 +5,15 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
 
 from bci_app.errors import SetupError
+from bci_app.sealed import Damaged, card_of, seal
 from decoder.rehearsal import Likeness
 
-FORMAT_VERSION: Literal[1] = 1
+FORMAT_VERSION: Literal[2] = 2
 _KEY = "bci-app rehearsal"
 _ARRAYS = {"background": 2, "edges": 1, "courses": 2, "maps": 2, "errp_courses": 2, "errp_maps": 2}
 Size = Annotated[float, Field(ge=0)]
@@ -21,7 +23,7 @@ class LikenessInfo(BaseModel):
     """All of a likeness that isn't an array; `recording_sha256` tells what it was learnt from."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    format_version: Literal[1] = FORMAT_VERSION
+    format_version: Literal[2] = FORMAT_VERSION
     names: tuple[str, ...]
     sfreq: Annotated[float, Field(gt=0)]
     spread: Size
@@ -44,7 +46,9 @@ def save(likeness: Likeness, path: Path, participant: str, recording_sha256: str
     )
     arrays = {name: np.ascontiguousarray(getattr(likeness, name)) for name in _ARRAYS}
     try:
-        save_file(arrays, path, metadata={_KEY: info.model_dump_json()})
+        contents = seal(lambda words: save_tensors(arrays, metadata=words), _KEY, info.model_dump_json())
+        with path.open("xb") as file:
+            file.write(contents)
     except (OSError, SafetensorError) as error:
         raise SetupError(f"Can't write the rehearsal {path}: {error}. Is the disk full, or locked?") from error
 
@@ -52,12 +56,13 @@ def save(likeness: Likeness, path: Path, participant: str, recording_sha256: str
 def load(path: Path) -> Likeness:
     """Read a file. Raises SetupError for anything but a whole likeness of a known format."""
     try:
-        with safe_open(path, framework="numpy") as file:
-            info = LikenessInfo.model_validate_json((file.metadata() or {})[_KEY])
-            arrays = {name: file.get_tensor(name) for name in _ARRAYS}
+        contents = path.read_bytes()
+        info = LikenessInfo.model_validate_json(card_of(contents, _KEY))
+        tensors = load_tensors(contents)
+        arrays = {name: tensors[name] for name in _ARRAYS}
     except OSError as error:
         raise SetupError(f"Can't read the rehearsal {path}: {error}. Make one with `bci-app rehearse`.") from error
-    except (SafetensorError, ValidationError, KeyError) as error:
+    except (SafetensorError, ValidationError, Damaged, KeyError, ValueError) as error:
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
         raise SetupError(
             f"{path} is no rehearsal of format {FORMAT_VERSION}, or is damaged ({reason}). Make one with `bci-app "

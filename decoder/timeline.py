@@ -17,6 +17,8 @@ MAX_JITTER = 0.040
 """Seconds a stamp may lie off the line of its neighbours (decided: a little more than the worst known chunks)."""
 GAP_S = 1.0
 """Seconds between two stamps that end a piece: shorter gaps leave no more trace than a blink (decided)."""
+_UNEVEN = 0.5  # samples: a step off by more isn't one of a clock that is off by some per cent
+_MOSTLY_EVEN = 0.1  # share of such steps below which stamps are even but for packets that are lost (decided)
 _ODD = 0.02  # samples: a step between stamps off by more is no clock's drift
 _EVEN = 4  # odd steps in a stretch, at most, for its stamps to count as even
 _TOGETHER = 0.1  # samples: stamps closer than this are of arrival, 10 us apart, and jitter seldom is
@@ -24,10 +26,14 @@ _MOSTLY = 0.4  # share of steps that are so close where all stamps are of arriva
 _CHANCE = 24.0  # scatters a single chunk may be late by chance (decided: under 1 % false gaps, see the tests)
 
 
-def measured_rate(times: Array) -> float:
-    """Samples a second, Hz, from the median time that half the samples take; drop-outs are left out."""
+def measured_rate(times: Array, sfreq: float) -> float:
+    """Samples a second, Hz, from the median time that half the samples take; drop-outs are left out.
+
+    Of a stream of nominally `sfreq` Hz: where its stamps are even, any step of more than a sample is a drop-out.
+    """
     steps = np.diff(times)
-    gap = np.abs(steps) > 2 * MAX_JITTER
+    odd = np.abs(steps * sfreq - 1) > _UNEVEN
+    gap = odd if odd.mean() < _MOSTLY_EVEN else np.abs(steps) > 2 * MAX_JITTER
     steps[gap] = steps[~gap].mean()
     elapsed = np.concatenate(([0.0], np.cumsum(steps)))
     half = len(times) // 2
@@ -43,7 +49,7 @@ def check_rate(times: Array, sfreq: float, name: str, tolerance: float) -> float
             f"Stream '{name}' says {sfreq:g} Hz but its time stands still: {len(times)} samples, all stamped alike. "
             "Check the amplifier's time stamps."
         )
-    rate = measured_rate(times)
+    rate = measured_rate(times, sfreq)
     chunk_s = float(np.quantile(np.abs(np.diff(times)), 0.99))
     if not abs(rate / sfreq - 1) <= tolerance + 2 * chunk_s * sfreq / len(times):
         raise SetupError(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from bci_app.gridworld import ACTIONS, GridWorld
 from bci_app.protocol import Action, Continued, EpisodeStart, Message, MoveOnset, Verdict, VerdictUsed
+from bci_app.said import place_after
 from policy.agent import Agent, Decision
 
 
@@ -28,12 +29,13 @@ class Navigator:
     _episode: EpisodeStart | None = None
     _decided: int = 0  # the step of the last action
     _newest: int = 0  # the step of the last move
+    _last: Action | None = None
     _onset: MoveOnset | None = None
     _verdicts: dict[int, Verdict] = field(default_factory=dict)
 
     def begin(self, start: EpisodeStart) -> Action:
         """A new episode: forget the last one and choose the first move."""
-        self._episode, self._decided, self._newest, self._onset = start, 1, 0, None
+        self._episode, self._decided, self._newest, self._onset, self._last = start, 1, 0, None, None
         self._verdicts.clear()
         decision = self.agent.begin(self.world.cell_at(*start.position), start.sensed)
         return self._action(decision, "missing")
@@ -47,7 +49,7 @@ class Navigator:
 
     def judged(self, verdict: Verdict) -> Action | None:
         """The decoder's word on a move; the next action if that move was announced already."""
-        if not self._is_current(verdict) or self.is_late(verdict):
+        if not self._is_current(verdict) or self.is_late(verdict) or self.is_known(verdict):
             return None
         self._verdicts[verdict.step] = verdict
         return self._decide()
@@ -66,7 +68,8 @@ class Navigator:
     def relive(self, messages: Iterable[Message]) -> Action | None:
         """Go through an episode's messages, in order: the last action, which its move hasn't followed yet, if any."""
         said = list(messages)
-        verdicts = {message.step: message for message in said if isinstance(message, Verdict)}
+        self._episode, self._onset, self._verdicts = None, None, {}
+        verdicts = {message.step: message for message in reversed(said) if isinstance(message, Verdict)}
         actions = {message.step: message for message in said if isinstance(message, Action)}
         action: Action | None = None
         for message in said:
@@ -88,10 +91,20 @@ class Navigator:
 
     def forget_void(self, continued: Continued) -> bool:
         """Forget what the stimulus, started again, has made void. True where a move was among it: then `relive`."""
-        if self._episode is None or self._episode.episode < continued.episode:
+        if self._episode is None:
             return False
-        self._verdicts = {step: verdict for step, verdict in self._verdicts.items() if step <= continued.step}
-        return (self._episode.episode, self._newest) > (continued.episode, continued.step)
+        episode, place = self._episode.episode, place_after(continued)
+        self._verdicts = {step: verdict for step, verdict in self._verdicts.items() if (episode, step) <= place}
+        return (episode, self._newest) > place
+
+    def is_known(self, verdict: Verdict) -> bool:
+        """Whether there is a verdict on that move already: from a decoder that was started again. The first counts."""
+        return self._is_current(verdict) and verdict.step in self._verdicts
+
+    @property
+    def awaited(self) -> Action | None:
+        """The last action, while the move it is for hasn't been made."""
+        return self._last if self._last is not None and self._newest < self._last.step else None
 
     def is_late(self, verdict: Verdict) -> bool:
         """Whether the policy has already moved on without this verdict."""
@@ -124,7 +137,7 @@ class Navigator:
 
     def _action(self, decision: Decision, verdict: VerdictUsed) -> Action:
         assert self._episode is not None
-        return Action.model_validate(
+        self._last = Action.model_validate(
             {
                 "session": self.session,
                 "episode": self._episode.episode,
@@ -135,6 +148,7 @@ class Navigator:
                 "evidence": decision.evidence,
             }
         )
+        return self._last
 
 
 def is_without(following: Action | None) -> bool:

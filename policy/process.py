@@ -17,6 +17,7 @@ from bci_app.protocol import (
     EpisodeStart,
     MoveOnset,
     Recall,
+    Resume,
     SessionEnd,
     SessionStart,
     Verdict,
@@ -94,6 +95,9 @@ class _Server:
                 self.recall(self.peer.remember())
             case Verdict() as verdict:
                 self._judged(verdict, item.arrived)
+            case Resume():
+                # The stimulus may have waited for an action that never reached it.
+                self._answer(self.navigator.awaited, item.arrived)
             case SessionEnd():
                 self.ended = True
 
@@ -110,6 +114,8 @@ class _Server:
         self._answer(self.navigator.missing(), local_clock())
 
     def _judged(self, verdict: Verdict, arrived: float) -> None:
+        if self.navigator.is_known(verdict):
+            return
         if self.navigator.is_late(verdict):
             text = f"Verdict on episode {verdict.episode}, step {verdict.step} came after it was taken as missing."
             self.peer.note("warning", text)

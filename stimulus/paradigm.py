@@ -28,6 +28,7 @@ from bci_app.protocol import (
     BlockStart,
     Command,
     Continued,
+    Electrodes,
     EpisodeEnd,
     EpisodeStart,
     Message,
@@ -110,6 +111,7 @@ class Paradigm:
         self._action: int | None = None  # of the coming move
         self._last_action: tuple[int, int, str] | None = None  # episode, step and what it is
         self._pause: Pause | None = None  # the last
+        self._has_returned = False  # and not gone on yet
         self._pause_to_come: Pause | None = None
         self._paused_in = Phase.READY
         self._closing_text = COMPLETE
@@ -293,9 +295,9 @@ class Paradigm:
         Does nothing before the start, after the end, and in a pause, but that a person's pause stays one.
         """
         pause = Pause(session=self.session, reason=reason, by_person=by_person)
-        if self._phase in (Phase.LOOK, Phase.COUNTDOWN, Phase.HOLD, Phase.KEY):
+        if self._phase in (Phase.LOOK, Phase.COUNTDOWN, Phase.HOLD, Phase.VERDICT, Phase.KEY):
             self._enter_pause(now, pause)
-        elif self._phase in (Phase.EYES, Phase.JUMP, Phase.ARROW, Phase.REST, Phase.VERDICT, Phase.BREAK):
+        elif self._phase in (Phase.EYES, Phase.JUMP, Phase.ARROW, Phase.REST, Phase.BREAK):
             if self._pause_to_come is None or by_person:
                 self._pause_to_come = pause
         elif self._phase is Phase.PAUSED and by_person and not self.is_paused_by_person:
@@ -308,11 +310,22 @@ class Paradigm:
         pause = self._pause if self._phase is Phase.PAUSED else self._pause_to_come
         return pause is not None and pause.by_person
 
+    def release(self, now: float) -> None:
+        """A person's pause is over as far as the person is concerned; `resume` goes on once all else is well."""
+        if self._pause_to_come is not None:
+            self._pause_to_come = self._pause_to_come.model_copy(update={"by_person": False})
+        if self._phase is Phase.PAUSED and self.is_paused_by_person:
+            self._pause = Pause(session=self.session, reason="The person is ready again.")
+            self._send(self._pause, now)
+
     def resume(self, now: float) -> None:
         """Go on after a pause, with time to look and a full countdown; calls off a pause still to come."""
         self._pause_to_come = None
         if self._phase is not Phase.PAUSED:
             return
+        if self._has_returned:  # once more: by now everybody hears it
+            self._has_returned = False
+            self.tell_where(now)
         self._send(Resume(session=self.session), now)
         if self._paused_in is Phase.EYES:
             self._next_eye_movement(now)
@@ -337,7 +350,8 @@ class Paradigm:
         actions: dict[tuple[int, int], Action] = {}
         before: Pause | None = None
         for item in said:
-            self._last_stamp = max(self._last_stamp, item.stamp)
+            if not isinstance(item.message, Verdict | Action | Electrodes | Command):  # those are of other clocks
+                self._last_stamp = max(self._last_stamp, item.stamp)
             match item.message:
                 case SessionStart():
                     self._phase, self._paused_in = Phase.PAUSED, Phase.EYES
@@ -374,13 +388,14 @@ class Paradigm:
         action_to_come = actions.get((self._walk.number, self._walk.steps + 1))
         if self._running and action_to_come is not None and not self._end_reason():
             self._take_action(action_to_come)
+        self._has_returned = True
         self.tell_where(now)
         self._send(self._pause, now)
 
     def tell_where(self, now: float) -> None:
         """Say after which move the run goes on, and its seed: what a stimulus announced that died before is void."""
-        number, step = (self._walk.number, self._walk.steps) if self._running else (self._walk.number + 1, 0)
-        self._send(Continued(session=self.session, episode=number, step=step), now)
+        step = self._walk.steps if self._running else None
+        self._send(Continued(session=self.session, episode=self._walk.number, step=step), now)
         self._send(RunSeed(session=self.session, seed=self._plan.seed), now, "truth")
 
     def _remember_start(self, start: EpisodeStart) -> None:

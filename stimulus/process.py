@@ -133,15 +133,20 @@ class _Shell:
         self._wait()
 
     def send(self) -> None:
-        """Publish what the paradigm has to say, each message with its own stamp."""
-        for out in self._paradigm.take_messages():
+        """Publish what the paradigm has to say, each message with its own stamp.
+
+        The message that makes a move known comes last: no move is known whose truth or marker was never sent.
+        """
+        messages = self._paradigm.take_messages()
+        for out in messages:
             if out.stream == "truth":
                 self._truth.push(out.message, out.stamp)
-                continue
-            self._peer.push(out.message, out.stamp)
-            code = marker_code(out.message)
-            if code is not None:
-                self._markers.push(code, out.stamp)
+        for out in messages:
+            if out.stream != "truth":
+                code = marker_code(out.message)
+                if code is not None:
+                    self._markers.push(code, out.stamp)
+                self._peer.push(out.message, out.stamp)
 
     def _hear(self) -> None:
         now = self._clock.now()
@@ -170,11 +175,14 @@ class _Shell:
         match key:
             case "start" if self._paradigm.waiting_for == "start" and not self._commands:
                 self._paradigm.start(now)
+            case "start" if self._paradigm.is_paused_by_person and self._commands:
+                self._paradigm.release(now)
             case "start" if self._paradigm.is_paused_by_person:
                 self._paradigm.resume(now)
             case "start":
                 self._paradigm.key_start(now)
             case "pause":
+                self._paused_for_action = False
                 self._paradigm.pause(now, "The experimenter pressed pause.", by_person=True)
             case "stop":
                 self._paradigm.stop(now, "interrupted", "Stopped at the stimulus's keyboard.")

@@ -82,8 +82,14 @@ def test_each_is_told_what_it_must_know() -> None:
     memory = memory_of([*STORY, *noise])
     assert told(memory, "stimulus") == STORY
     assert told(memory, "policy") == [opening(), start(1), chosen(1, 1), move(1, 1)]
-    assert told(memory, "decoder") == [opening(), start(1), STORY[10], move(1, 1)]
+    assert told(memory, "decoder") == [opening(), start(1), move(1, 1), STORY[10]]
     assert told(Memory("s"), "policy") == []
+
+
+def test_a_decoder_is_told_of_all_moves_without_a_verdict_and_of_what_holds_of_the_electrodes() -> None:
+    held = Electrodes(session="s", episode=0, bad={"F3": ["flat"]})
+    story = [opening(), start(0), held, move(0, 1), verdict(0, 1), move(0, 2), end(0), start(1), move(1, 1)]
+    assert told(memory_of(story), "decoder") == [opening(), move(0, 2), start(1), move(1, 1), held]
 
 
 def test_it_is_told_in_the_order_of_the_stamps() -> None:
@@ -106,6 +112,9 @@ def test_what_came_after_the_place_where_it_goes_on_is_void() -> None:
 
 
 def test_an_episode_that_ended_stays_ended() -> None:
-    between = Continued(session="s", episode=1, step=0)
-    assert not any(is_void(message, between) for message in STORY[:10])
-    assert is_void(move(1, 1), between)
+    between = Continued(session="s", episode=0)
+    assert not any(is_void(message, between) for message in STORY[:9])
+    assert all(is_void(message, between) for message in STORY[9:])  # the next one's start as well
+    begun = Continued(session="s", episode=1, step=0)
+    assert not is_void(start(1), begun)
+    assert is_void(move(1, 1), begun)

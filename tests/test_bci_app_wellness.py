@@ -54,8 +54,11 @@ def test_a_process_that_is_started_again_has_time_and_its_old_words_dont_count(w
         well.take(role, 30.0, None, now=20.0 + STARTING_S)
     assert well.hanging(20.0 + STARTING_S) == []
     assert well.hanging(20.0 + STARTING_S + 0.1) == ["policy"]
-    well.take("policy", 12.0, said("policy"), now=22.0)
+    well.take("policy", 12.0, said("policy", "waiting", "for the stimulus"), now=22.0)
     assert well.is_back("policy")
+    assert well.hanging(20.0 + STARTING_S) == []  # it still loads, or looks for somebody
+    well.take("policy", 13.0, said("policy"), now=23.0)
+    assert "policy" in well.hanging(23.0 + HANGS_S + 0.1)
 
 
 def test_everybody_must_hear_it_again(well: Wellness) -> None:

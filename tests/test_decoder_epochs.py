@@ -220,6 +220,11 @@ def test_the_rate_is_measured_through_jitter_and_gaps() -> None:
     assert check_rate(arrival_stamps(5000 + np.arange(2500) / SFREQ, 9), SFREQ, "X", 0.01) == pytest.approx(250, abs=1)
     for phase in range(9):  # three seconds of them
         check_rate(arrival_stamps(5000 + np.arange(750) / SFREQ, 9, phase), SFREQ, "X", 0.01)
+    rng = np.random.default_rng(0)
+    for share in (0.01, 0.05):  # packets of 10 ms lost in bursts of five, as by radio
+        lost = np.repeat(np.convolve(rng.random(500) < share / 5, np.ones(5), "same") > 0, 5)
+        assert 0 < lost.mean() < 3 * share + 0.05
+        check_rate((5000 + np.arange(2500) / 500)[~lost], 500.0, "X", 0.01)
     with pytest.raises(SetupError, match="delivers 24"):
         check_rate(5000 + np.arange(750) / 245, SFREQ, "X", 0.01)
     with pytest.raises(SetupError, match=r"'X' says 500 Hz but delivers 480\.2 Hz"):

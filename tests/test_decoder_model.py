@@ -13,7 +13,7 @@ from bci_app.errors import SetupError
 from decoder.calibration import calibrate
 from decoder.chain import design
 from decoder.evidence import calibrate_evidence
-from decoder.model import DecoderModel, fit_stream, load, make_model, save
+from decoder.model import FORMAT_VERSION, DecoderModel, fit_stream, load, make_model, save
 from decoder.montage import MONTAGE_64, canonical, directions
 from decoder.operator import features
 from decoder.spatial import common_average
@@ -81,16 +81,14 @@ def test_it_is_never_overwritten(model: DecoderModel, file: Path) -> None:
 @given(data=st.data())
 def test_damage_is_refused(file: Path, tmp_path: Path, data: st.DataObject) -> None:
     contents = bytearray(file.read_bytes())
-    n_header = 8 + int.from_bytes(contents[:8], "little")
     if data.draw(st.booleans()):
         del contents[data.draw(st.integers(0, len(contents) - 1)) :]
     else:
-        # A flipped digit of a number goes unnoticed; whatever breaks the header's form must not.
-        place = data.draw(st.integers(0, n_header - 1).filter(lambda i: chr(contents[i]) in '{}[]":,'))
-        contents[place] = ord("~")
+        place = data.draw(st.integers(0, len(contents) - 1))
+        contents[place] ^= data.draw(st.integers(1, 255))
     path = tmp_path / "damaged.safetensors"
     path.write_bytes(contents)
-    with pytest.raises(SetupError, match="damaged"):
+    with pytest.raises(SetupError, match=r"damaged|is a decoder of format"):
         load(path)
 
 
@@ -98,21 +96,21 @@ def test_damage_is_refused(file: Path, tmp_path: Path, data: st.DataObject) -> N
 def test_other_files_are_refused(tmp_path: Path, contents: bytes) -> None:
     path = tmp_path / "other"
     path.write_bytes(contents)
-    with pytest.raises(SetupError, match="no decoder of format 3"):
+    with pytest.raises(SetupError, match=f"no decoder of format {FORMAT_VERSION}"):
         load(path)
     with pytest.raises(SetupError, match="Calibrate first"):
         load(tmp_path / "missing")
 
 
 def test_a_future_format_is_refused(file: Path) -> None:
-    contents = file.read_bytes().replace(b'{\\"format\\":3', b'{\\"format\\":4')
+    contents = file.read_bytes().replace(b'{\\"format\\":4', b'{\\"format\\":5')
     file.write_bytes(contents)
     with pytest.raises(SetupError, match=r"damaged \(format: .*Use the bci-app version that wrote it"):
         load(file)
 
 
 def test_an_older_format_is_to_be_fitted_again(file: Path) -> None:
-    contents = file.read_bytes().replace(b'{\\"format\\":3', b'{\\"format\\":2')
+    contents = file.read_bytes().replace(b'{\\"format\\":4', b'{\\"format\\":2')
     file.write_bytes(contents)
     with pytest.raises(SetupError, match=r"format 2, .*Run `bci-app fit` on the calibration again\.$"):
         load(file)

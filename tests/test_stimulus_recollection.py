@@ -147,6 +147,29 @@ def test_what_nobody_remembers_is_said_to_be_void_with_the_seed() -> None:
     second.paradigm.tell_where(second.now)  # as often as it takes until everybody hears it
     second.take()
     assert of(second.sent, Continued) == [Continued(session="s", episode=0, step=2)] * 2
+    second.resume()  # and once more when it goes on
+    assert of(second.sent, Continued) == [Continued(session="s", episode=0, step=2)] * 3
+
+
+def test_an_episode_that_nobody_remembers_begins_again() -> None:
+    place = next(i for i, out in enumerate(SENT) if isinstance(out.message, EpisodeEnd)) + 1
+    second = Second(calibration(CONFIG), memory_of(SENT[:place]), SENT[place].stamp)
+    assert of(second.sent, Continued) == [Continued(session="s", episode=0)]
+    second.resume()
+    assert of(second.sent, EpisodeStart)[0] == of(SENT, EpisodeStart)[1]
+
+
+def test_the_clocks_of_others_dont_move_the_onsets() -> None:
+    """A decoder's stamps may be far ahead: of another computer."""
+    memory = Memory("s")
+    for out in SENT[:12]:
+        memory.take(out.stamp, out.message)
+        if isinstance(out.message, MoveOnset):
+            memory.take(out.stamp + 6e5, judged(out.message))
+    second = Second(calibration(CONFIG), memory, SENT[11].stamp + 10)
+    second.resume()
+    second.all()
+    assert all(out.stamp < 1e4 for out in second.sent)
 
 
 def test_a_persons_pause_stays_one() -> None:
