@@ -266,7 +266,10 @@ def drill(
     from bci_app import drill as drilling
 
     with progress_bar(as_json) as progress:
-        rows = drilling.run(configuration.load(config), fault or [], sessions, speed, seed, progress)
+        # Long drills are looked at while they last.
+        rows = drilling.run(
+            configuration.load(config), fault or [], sessions, speed, seed, progress, lambda row: _tell(str(row))
+        )
     if as_json:
         print_json(rows)
     else:
@@ -310,6 +313,10 @@ def show_config(
         show_settings(configuration.explained(settings))
     else:
         typer.echo(settings.model_dump_json(indent=2))
+
+
+def _tell(text: str) -> None:
+    typer.echo(text, err=True)
 
 
 def _overrides(

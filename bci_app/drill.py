@@ -5,7 +5,6 @@ one the replay finds, which knows nothing of the fault. One without its recorder
 rest, and what was recorded until then is readable.
 """
 
-import logging
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
@@ -29,8 +28,6 @@ from bci_app.protocol import MoveOnset, Role, Verdict
 from bci_app.recording import Recording, read
 from bci_app.session import Stage
 from bci_app.supervisor import Supervisor
-
-log = logging.getLogger(__name__)
 
 PARTICIPANT = "DRILL"
 SHORT = {
@@ -145,9 +142,18 @@ class Outcome:
 
 
 def run(
-    config: Config, names: Sequence[str], n_sessions: int, speed: float, seed: int, progress: Progress
+    config: Config,
+    names: Sequence[str],
+    n_sessions: int,
+    speed: float,
+    seed: int,
+    progress: Progress,
+    report: Callable[[dict[str, Any]], None],
 ) -> list[dict[str, Any]]:
-    """Drill each fault in `n_sessions` sessions; a row each. Recordings of sessions that survived are not kept."""
+    """Drill each fault in `n_sessions` sessions; a row each, which ``report`` is told as soon as it is known.
+
+    Recordings of sessions that survived are not kept.
+    """
     unknown = sorted(set(names) - set(FAULTS))
     if unknown:
         raise SetupError(f"--fault must be one of {', '.join(FAULTS)}; found {', '.join(unknown)}.")
@@ -164,7 +170,7 @@ def run(
         told = named(progress, f"{number + 1}/{len(names or FAULTS)} {name}")
         outcomes = [_session(wishes, model, name, rng, told) for _ in range(n_sessions)]
         rows.append(_row(name, outcomes))
-        log.warning("%s", rows[-1])  # long drills are looked at while they last
+        report(rows[-1])
     if all(is_good(row) for row in rows):
         shutil.rmtree(folder)
     return rows

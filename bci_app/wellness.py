@@ -98,8 +98,8 @@ class Wellness:
         return has_no_amplifier or decoder is None or decoder.state == "waiting"
 
     def hear_again(self, role: Role) -> bool:
-        """Whether everybody who must hear a process that was started again does."""
-        names = {spec.name for spec in STREAMS if spec.role == role}
+        """Whether everybody who must hear a process that was started again hears the stream on which it speaks."""
+        names = {spec.name for spec in STREAMS if spec.role == role and spec.kind == "Events"}
         return not any(
             name in names
             for other in self.roles

@@ -74,8 +74,21 @@ def test_everybody_must_hear_it_again(well: Wellness) -> None:
     well.take("decoder", 13.0, said("decoder", bci_stimulus=12.1), now=23.0)
     well.take("policy", 13.0, said("policy", bci_stimulus=10.9), now=23.0)
     assert well.troubles() == ["The policy doesn't hear bci-stimulus yet."]
+    assert not well.hear_again("stimulus")
     well.take("policy", 14.0, said("policy", bci_stimulus=13.5), now=24.0)
     assert well.troubles() == []
+    assert well.hear_again("stimulus")
+
+
+def test_a_stimulus_is_answered_before_it_has_told_any_truth(well: Wellness) -> None:
+    """It tells none until it knows where the run is."""
+    well.failed("stimulus", now=20.0, stamp=11.0)
+    well.take("stimulus", 12.0, said("stimulus", "waiting"), now=22.0)
+    well.take("amplifier", 13.0, said("amplifier", bci_stimulus=12.1), now=23.0)
+    well.take("decoder", 13.0, said("decoder", bci_stimulus=12.1), now=23.0)
+    well.take("policy", 13.0, said("policy", bci_stimulus=12.1), now=23.0)
+    assert well.hear_again("stimulus")
+    assert well.troubles() == ["The amplifier doesn't hear bci-truth yet."]
 
 
 def test_in_a_calibration_the_stimulus_must_hear_the_decoder() -> None:
