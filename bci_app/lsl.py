@@ -115,7 +115,8 @@ class MessageInlet:
     """Listens to one of our string streams; survives a restart of its sender."""
 
     def __init__(self, info: pylsl.StreamInfo, spec: StreamSpec, session: str) -> None:
-        self._inlet = pylsl.StreamInlet(info, recover=True)
+        # As bytes: text that isn't UTF-8 is refused like any other garbage.
+        self._inlet = pylsl.StreamInlet(info, recover=True, as_numpy=True)
         self._spec = spec
         self._session = session
         self.name = spec.name

@@ -319,7 +319,7 @@ def encode(message: Message) -> str:
     return message.model_dump_json(exclude_none=True)
 
 
-def decode(text: str, session: str | None = None) -> AnyMessage:
+def decode(text: str | bytes, session: str | None = None) -> AnyMessage:
     """Parse a message. Raises BadMessage for anything else, and for another session's message."""
     try:
         message = _adapter.validate_json(text)

@@ -39,6 +39,9 @@ def test_floats_survive_to_the_bit(
     ("text", "says"),
     [
         ("hello", "Invalid JSON"),
+        (b"\xff\xfe\x00", "Invalid JSON"),
+        (b'{"protocol": 4, "session": "\xff", "type": "Resume"}', "Invalid JSON"),
+        ("[" * 100_000, "Invalid JSON"),
         ("{}", "type"),
         ('{"protocol": 5, "session": "s", "type": "Resume"}', "protocol"),
         ('{"protocol": 2, "session": "s", "type": "Resume", "extra": 1}', "extra"),
@@ -56,7 +59,7 @@ def test_floats_survive_to_the_bit(
         ),
     ],
 )
-def test_what_is_no_message_of_this_session_is_refused(text: str, says: str) -> None:
+def test_what_is_no_message_of_this_session_is_refused(text: str | bytes, says: str) -> None:
     with pytest.raises(BadMessage) as error:
         decode(text, "s")
     assert says.lower() in str(error.value).lower()
