@@ -20,12 +20,13 @@ from bci_app import fitting, verbs
 from bci_app import replay as replaying
 from bci_app.config import Config
 from bci_app.errors import LinkLost, SetupError
+from bci_app.gridworld import ACTIONS, compile_map
 from bci_app.heard import Heard
 from bci_app.lsl import local_clock
 from bci_app.moves import cut_moves
 from bci_app.progress import Progress, named
-from bci_app.protocol import MoveOnset, Role, Verdict
-from bci_app.recording import Recording, read
+from bci_app.protocol import Action, EpisodeStart, MoveOnset, Role, SessionStart
+from bci_app.recording import Recording, first_verdicts, read
 from bci_app.session import Stage
 from bci_app.supervisor import Supervisor
 
@@ -127,7 +128,8 @@ class Outcome:
     Attributes
     ----------
     moves_lost : moves that were heard of and aren't in the recording.
-    wrong_actions : actions, and verdicts, that the replay finds otherwise.
+    wrong_actions : actions, and verdicts, that the replay finds otherwise; moves that aren't what was chosen, don't
+        follow from the one before, or are missing in a block.
     epochs_lost : whole epochs in the recording that got no verdict.
     recovery_s : real seconds from the fault until the stimulus went on; None where it never had to wait.
     text : what went wrong, where something did.
@@ -212,12 +214,13 @@ def _judged(saboteur: _Saboteur, ended: str) -> Outcome:
         return Outcome(False, 0, 0, 0, None, f"The session never began: {ended}")
     fault, path = saboteur.fault, saboteur.path
     recording = read(path, allow_damage=True)
+    complete = saboteur.heard.end is not None and saboteur.heard.end.reason == "complete" and not ended
     replayed = replaying.replay(path, None, None, True, lambda *_: None)
     counts = replayed["replay"]
     wrong = sum(counts[what] - counts[f"{what}_equal"] for what in ("electrodes", "verdicts", "actions"))
+    wrong += _contradictions(recording, complete)
     expected = saboteur.n_moves_before() if ended else saboteur.heard.moves
     lost = max(0, expected - len(recording.of(MoveOnset)))
-    complete = saboteur.heard.end is not None and saboteur.heard.end.reason == "complete" and not ended
     survived = bool(ended) if fault.ends_run and saboteur.acted else complete
     went_on, acted = saboteur.supervisor.went_on_at, saboteur.acted
     recovery = went_on - acted if acted is not None and went_on > acted else None
@@ -228,12 +231,33 @@ def _judged(saboteur: _Saboteur, ended: str) -> Outcome:
     return Outcome(survived, lost, wrong, _whole_but_unjudged(recording), recovery, text)
 
 
+def _contradictions(recording: Recording, complete: bool) -> int:
+    """Moves that aren't what was chosen or don't follow from the one before, and moves a calibration lacks."""
+    (_, opening) = recording.of(SessionStart)[0]
+    world = compile_map("\n".join(opening.layout), opening.map)
+    chosen = {(action.episode, action.step): action.action for _, action in recording.of(Action)}
+    where = {(start.episode, 0): start.position for _, start in recording.of(EpisodeStart)}
+    found = 0
+    for _, move in recording.of(MoveOnset):
+        key, before = (move.episode, move.step), where.get((move.episode, move.step - 1))
+        where[key] = move.position
+        if before is None:
+            found += 1
+            continue
+        cell = int(world.next_cell[world.cell_at(*before), ACTIONS.index(move.action)])
+        found += chosen.get(key, move.action) != move.action or cell != world.cell_at(*move.position)
+    if complete and opening.n_moves is not None:
+        valid = sum(verdict.outcome != "rejected" for verdict in first_verdicts(recording).values())
+        found += valid != opening.n_moves
+    return found
+
+
 def _whole_but_unjudged(recording: Recording) -> int:
     """Moves said to have come too late, or too early, whose epochs are whole in the recording."""
     from decoder.chain import design
     from decoder.epochs import Epoch, Shape
 
-    verdicts = {(verdict.episode, verdict.step): verdict for _, verdict in recording.of(Verdict)}
+    verdicts = first_verdicts(recording)
     late = {key for key, verdict in verdicts.items() if verdict.by_time}
     if not late:
         return 0

@@ -34,6 +34,8 @@ STREAM_OF: dict[Role, StreamSpec] = {
 """On which stream each process speaks."""
 EEG_PAUSE_S = 1.2
 """Real seconds without EEG in the file that are no accident of its writing, every half second (decided)."""
+DEAF_S = 4.0
+"""Real seconds by which what a process hears may be older than what bci-app hears: LSL reconnects in two (decided)."""
 AGAIN_S = 0.5
 """Real seconds after which a command that had no effect yet is said again."""
 
@@ -157,7 +159,8 @@ class Supervisor:
         """The stimulus goes on only while everybody hears everybody and all of it is recorded."""
         if self._heard.start is None or self._heard.end is not None:
             return
-        troubles = self._wellness.troubles() + self._unrecorded()
+        deaf = self._wellness.deaf(self._newest, DEAF_S * self._clock.speed)
+        troubles = self._wellness.troubles() + deaf + self._unrecorded()
         if troubles and self.waits_for is None:
             self._note("warning", f"The session waits. {troubles[0]}")
         if bool(troubles) != (self.waits_for is not None):

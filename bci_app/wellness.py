@@ -4,12 +4,11 @@ Pure: what was heard, and when, is handed in. Real times are seconds of LSL's cl
 """
 
 from collections import defaultdict, deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from bci_app.protocol import (
     ACTIONS_STREAM,
-    SESSION,
     STIMULUS,
     STREAMS,
     TRUTH,
@@ -29,7 +28,7 @@ LISTENS: dict[Role, tuple[StreamSpec, ...]] = {
     "decoder": (STIMULUS,),
     "policy": (STIMULUS, VERDICTS),
     "amplifier": (STIMULUS, TRUTH),
-    "stimulus": (ACTIONS_STREAM, SESSION),
+    "stimulus": (ACTIONS_STREAM,),
 }
 """Which streams each process must hear for the run to go on, of those that are there. In a calibration the stimulus
 hears verdicts instead of actions."""
@@ -107,6 +106,20 @@ class Wellness:
             for name in self._unheard(other, status)
         )
 
+    def deaf(self, newest: Mapping[Role, float], stale: float) -> list[str]:
+        """Who has lost a stream, in sentences: whose newest word heard there is `stale` session seconds older than the
+        ``newest`` that bci-app heard of its sender."""
+        found = []
+        for role in self.roles:
+            status = self._known[role].status
+            for spec in self._listens(role) if status is not None else ():
+                if spec.role not in newest or spec.kind != "Events":
+                    continue
+                heard = status.hears.get(spec.name, float("-inf")) if status else float("-inf")
+                if newest[spec.role] - heard > stale:
+                    found.append(f"The {role} has lost {spec.name}.")
+        return found
+
     def troubles(self) -> list[str]:
         """Why the stimulus must wait, in sentences; none where all is well."""
         found = []
@@ -120,13 +133,13 @@ class Wellness:
                 found += [f"The {role} doesn't hear {name} yet." for name in self._unheard(role, status)]
         return found
 
+    def _listens(self, role: Role) -> tuple[StreamSpec, ...]:
+        return (VERDICTS,) if role == "stimulus" and self.is_calibration else LISTENS.get(role, ())
+
     def _unheard(self, role: Role, status: Status) -> list[str]:
         """Streams of processes that were started again and aren't heard by this one yet."""
-        specs = LISTENS.get(role, ())
-        if role == "stimulus" and self.is_calibration:
-            specs = (VERDICTS, SESSION)
         return [
             spec.name
-            for spec in specs
+            for spec in self._listens(role)
             if spec.role in self.roles and status.hears.get(spec.name, float("-inf")) < self._known[spec.role].returned
         ]

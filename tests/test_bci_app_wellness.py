@@ -101,6 +101,16 @@ def test_in_a_calibration_the_stimulus_must_hear_the_decoder() -> None:
     assert wellness.troubles() == []
 
 
+def test_who_has_lost_a_stream_is_told(well: Wellness) -> None:
+    newest: dict[Role, float] = {"stimulus": 30.0, "decoder": 30.0, "policy": 30.0}
+    well.take("decoder", 30.0, said("decoder", bci_stimulus=29.0), now=12.0)
+    well.take("policy", 30.0, said("policy", bci_stimulus=29.0, bci_verdicts=20.0), now=12.0)
+    well.take("stimulus", 30.0, said("stimulus", bci_actions=29.5), now=12.0)
+    well.take("amplifier", 30.0, said("amplifier", bci_stimulus=29.5), now=12.0)
+    assert well.deaf(newest, 4.0) == ["The policy has lost bci-verdicts."]
+    assert well.deaf(newest, 11.0) == []
+
+
 def test_too_many_failures_in_a_minute_are_no_accident(well: Wellness) -> None:
     assert [well.failed("policy", now=20.0 + i, stamp=20.0 + i) for i in range(MOST_FAILURES)] == [True, True, False]
     rare = Wellness(ROLES, is_calibration=False)
