@@ -162,6 +162,7 @@ def _actions(
     recorded = {(action.episode, action.step): action for _, action in recording.of(Action)}
     unfinished = _unfinished(recording, max(recorded, default=(0, 0)))
     replayed = {pair.key: pair.replayed for pair in verdicts}
+    is_cut = not recording.of(SessionEnd)
     action: Action | None
     for item in recording.messages:
         match item.message:
@@ -174,9 +175,13 @@ def _actions(
                 action = navigator.again(onset, judged, is_without(recorded.get(following)))
                 if following not in recorded and (unfinished(key) or unfinished(following)):
                     continue
+                if is_cut and judged is None and not is_without(recorded.get(following)):
+                    continue  # the verdict it was chosen by was never written
             case _:
                 continue
         expected = (item.message.episode, 1 if isinstance(item.message, EpisodeStart) else item.message.step + 1)
+        if expected not in recorded and unfinished(expected):
+            continue
         if action is not None or expected in recorded:
             yield Compared(expected, recorded.get(expected), action)
 

@@ -45,8 +45,6 @@ READY_TIMEOUT_S = 90.0
 """Real seconds all processes may take to be ready (the slowest loads torch)."""
 GROW_TIMEOUT_S = 2.0
 """Real seconds after which a file that doesn't grow is not being written: LabRecorder writes twice a second."""
-GROW_PAUSED_S = 15.0
-"""The same without EEG: messages alone are written only when some kilobytes have come together."""
 RECORDED_WITHIN_S = 8.0
 """Real seconds until every stream that speaks has come into a new file: LabRecorder asks for clocks first."""
 HALT_TIMEOUT_S = 10.0
@@ -345,7 +343,9 @@ class _Conductor:
         self.follower.look()
         if self.follower.n_bytes > self.size:
             self.size, self.grew_at = self.follower.n_bytes, now
-        if now - self.grew_at > (GROW_PAUSED_S if self.supervisor.lacks_eeg else GROW_TIMEOUT_S):
+        if self.supervisor.lacks_eeg:
+            self.grew_at = now  # messages alone are written only when many kilobytes have come together
+        if now - self.grew_at > GROW_TIMEOUT_S:
             self.recorder.kill()  # it hangs, and would hang when it is told to close the file
             self._halt(
                 f"{self.plan.run.xdf} has stopped growing at {self.size} bytes: the disk is full or LabRecorder hangs."

@@ -193,10 +193,12 @@ def main() -> None:
         for number in range(options.files):
             name = names[number % len(names)]
             origin, reader = files.kinds[name]
-            path = Path(folder) / f"mutated{''.join(origin.suffixes)}"
+            # A name of its own, for maps are read once.
+            path = Path(folder) / f"mutated-{number}{''.join(origin.suffixes)}"
             contents = mutated(whole[name], rng)
             path.write_bytes(contents)
             judged(name, lambda path=path, reader=reader: check_file(path, reader), contents)
+            path.unlink()
             if number % 100 == 0:
                 show("files", number, options.files)
     print("| what | outcome | how many | slowest, s |\n|---|---|---|---|")
