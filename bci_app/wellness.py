@@ -3,7 +3,7 @@
 Pure: what was heard, and when, is handed in. Real times are seconds of LSL's clock, stamps session seconds.
 """
 
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -56,8 +56,11 @@ class Wellness:
 
     roles: Sequence[Role]
     is_calibration: bool
-    _known: dict[Role, _Known] = field(default_factory=lambda: defaultdict(_Known))
+    _known: dict[Role, _Known] = field(default_factory=dict)
     _failures: deque[float] = field(default_factory=deque)
+
+    def __post_init__(self) -> None:
+        self._known = {role: _Known(spoke_at=float("inf")) for role in self.roles}  # none is late before its first word
 
     def take(self, role: Role, stamp: float, status: Status | None, now: float) -> None:
         """A word of a process, heard at real time `now`; its status, if it was one."""
@@ -92,9 +95,10 @@ class Wellness:
 
     def lacks_eeg(self) -> bool:
         """Whether the decoder waits for EEG, or the amplifier's process is being started again."""
-        decoder, amplifier = self._known["decoder"].status, self._known["amplifier"].status
-        has_no_amplifier = "amplifier" in self.roles and amplifier is None
-        return has_no_amplifier or decoder is None or decoder.state == "waiting"
+        if "amplifier" in self.roles and self._known["amplifier"].status is None:
+            return True
+        decoder = self._known["decoder"].status
+        return decoder is None or decoder.state == "waiting"
 
     def hear_again(self, role: Role) -> bool:
         """Whether everybody who must hear a process that was started again hears the stream on which it speaks."""

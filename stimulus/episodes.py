@@ -5,7 +5,7 @@ Only `random.Random.random` is used: its sequence for a seed is the same on ever
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from random import Random
 from typing import Literal, cast
 
@@ -177,6 +177,18 @@ class Walk:
 
 
 @dataclass(frozen=True)
+class Begin:
+    """Where a run begins: a calibration in a block that has some moves already, an online run at an episode."""
+
+    block: int = 0
+    moves_done: int = 0
+    episode: int = 0
+
+
+FROM_THE_START = Begin()
+
+
+@dataclass(frozen=True)
 class Plan:
     """What is going to happen in a run; all that tells a calibration from an online run.
 
@@ -204,16 +216,7 @@ class Plan:
     break_s: float = 0.0
     wait_for_key: bool = False
     eye_movements_s: float = 0.0
-    begin: "Begin" = field(default_factory=lambda: Begin())
-
-
-@dataclass(frozen=True)
-class Begin:
-    """Where a run begins: a calibration in a block that has some moves already, an online run at an episode."""
-
-    block: int = 0
-    moves_done: int = 0
-    episode: int = 0
+    begin: Begin = FROM_THE_START
 
 
 def calibration_plan(
@@ -223,7 +226,7 @@ def calibration_plan(
     participant: str,
     seed: int,
     wait_for_key: bool,
-    begin: Begin,
+    begin: Begin = FROM_THE_START,
 ) -> Plan:
     """Blocks of moves by an agent that errs on purpose (paper V.A.1); `SessionStart.n_moves` is how many are to come.
 
@@ -259,7 +262,9 @@ def calibration_plan(
     )
 
 
-def online_plan(run: OnlineConfig, world: GridWorld, session: str, participant: str, seed: int, begin: Begin) -> Plan:
+def online_plan(
+    run: OnlineConfig, world: GridWorld, session: str, participant: str, seed: int, begin: Begin = FROM_THE_START
+) -> Plan:
     """The pre-generated episodes, the same for everyone, in the random order of `seed` (paper V.B.3).
 
     Raises SetupError when the map has none of the wanted distances.

@@ -42,7 +42,7 @@ from bci_app.protocol import (
     SessionStart,
     Verdict,
 )
-from stimulus.episodes import Begin, Plan, Walk, calibration_plan, online_plan
+from stimulus.episodes import FROM_THE_START, Begin, Plan, Walk, calibration_plan, online_plan
 from stimulus.repeats import Repeats
 from stimulus.scene import Scene
 
@@ -50,7 +50,6 @@ WELCOME = "Watch the red agent on its way to the green goal.\nJudge every move i
 COMPLETE = "Done. Thank you!"
 STOPPED = "The session has ended."
 LINK_PAUSE = "Pause\nSomething technical. Please wait: it goes on by itself."
-FROM_THE_START = Begin()
 EYE_MOVEMENTS = ("Blink", "Look left and right", "Look up and down")
 
 

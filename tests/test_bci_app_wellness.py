@@ -24,6 +24,15 @@ def well() -> Wellness:
     return wellness
 
 
+def test_nobody_is_late_who_takes_no_part_or_has_not_begun() -> None:
+    wellness = Wellness(("decoder", "stimulus"), is_calibration=True)
+    assert wellness.lacks_eeg()
+    assert wellness.hanging(1e6) == []
+    wellness.take("decoder", 1.0, said("decoder"), now=10.0)
+    assert not wellness.lacks_eeg()
+    assert wellness.hanging(1e6) == ["decoder"]
+
+
 def test_all_is_well(well: Wellness) -> None:
     assert well.troubles() == []
     assert well.hanging(10.0 + HANGS_S) == []
