@@ -39,7 +39,6 @@ def cap_of_256() -> list[str]:
     ("labels", "sfreq", "unit", "on_arrival"),
     [
         (spelled_otherwise, 128.0, "millivolts", True),
-        (lambda: list(MONTAGE_64), 1000.0, "microvolts", True),
         (cap_of_256, 2000.0, "volts", False),
     ],
 )
