@@ -257,7 +257,7 @@ def drill(
         list[str] | None, typer.Option("--fault", help="One of the faults, as 'policy killed'; default: all of them.")
     ] = None,
     sessions: Annotated[int, typer.Option("--sessions", min=1, help="Sessions of each fault.")] = 1,
-    speed: SpeedOption = 20.0,
+    speed: Annotated[float, typer.Option("--speed", min=0.1, max=100, help="Session seconds a real second.")] = 20.0,
     seed: Annotated[int, typer.Option("--seed", help="Seed of moments and participants.")] = 1,
     config: ConfigOption = None,
     as_json: JsonOption = False,

@@ -68,7 +68,8 @@ class Crew:
         last = said[-1] if said else "it said nothing"
         if code == SetupError.exit_code:
             return SetupError(last)
-        return LinkLost(f"The {role} process ended with code {code}: {last} (log: {path}).")
+        how = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}: {last}"
+        return LinkLost(f"The {role} process {how} (log: {path}).")
 
     def ended(self) -> set[Role]:
         """Roles whose process is not running any more."""

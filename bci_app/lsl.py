@@ -200,6 +200,8 @@ def find_eeg(config: EegConfig, timeout: float) -> pylsl.StreamInfo:
     while not found and local_clock() - started < timeout:
         # Asking for two makes LSL listen on after the first, so that a second amplifier isn't missed.
         found = pylsl.resolve_bypred(predicate, 2, min(1.0, timeout))
+        if config.source_id is None:  # a simulated amplifier is nobody's but its own session's
+            found = [info for info in found if not info.source_id().startswith(f"{StreamSpec.PREFIX}/")]
     if not found:
         others = ", ".join(sorted({f"'{info.name()}' ({info.type()})" for info in pylsl.resolve_streams(1.0)}))
         raise NoStream(

@@ -213,6 +213,10 @@ def _file_of_run(recording: Path, sidecar: dict[str, Any], what: str, given: Pat
     named = sidecar.get(what)
     if not named:
         return given
+    if not isinstance(named, dict) or not {"path", "sha256"} <= named.keys():
+        raise SetupError(
+            f"The sidecar of {recording} should give the {what}'s path and sha256, found {named!r:.60}. Restore it."
+        )
     candidates = [given] if given else [Path(named["path"]), recording.with_name(Path(named["path"]).name)]
     for path in candidates:
         if path.exists() and checksum(path) == named["sha256"]:

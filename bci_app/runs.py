@@ -151,7 +151,8 @@ def read_sidecar(recording: Path) -> dict[str, Any]:
 def eeg_type(sidecar: dict[str, Any]) -> str:
     """LSL type of the run's EEG stream."""
     config = sidecar.get("config", {})
-    return str(config.get("eeg", {}).get("stream_type", "EEG")) if isinstance(config, dict) else "EEG"
+    eeg = config.get("eeg", {}) if isinstance(config, dict) else {}
+    return str(eeg.get("stream_type", "EEG")) if isinstance(eeg, dict) else "EEG"
 
 
 def check_untouched(recording: Path, sidecar: dict[str, Any]) -> None:

@@ -170,7 +170,9 @@ def _whole(samples: NDArray[np.floating], times: Array, shape: Shape) -> Epoch |
     gap = find_gap(times, shape.sfreq)
     if gap is not None:
         place = (gap[0] - shape.n_before) / shape.sfreq
-        return Rejection(f"gap: {gap[1]:+.1f} samples {place:+.3f} s from the onset")
+        # How long a stream was away depends on who reconnected when, and that a replay can't know.
+        size = f"{gap[1]:+.1f} samples" if abs(gap[1]) < shape.sfreq else "more than a second"
+        return Rejection(f"gap: {size} {place:+.3f} s from the onset")
     return Epoch(np.ascontiguousarray(samples, dtype=np.float64), float(times[0]), float(times[-1]))
 
 

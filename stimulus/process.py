@@ -90,7 +90,7 @@ class _Shell:
         self._drawn_at = 0.0
         self._held_since: float | None = None
         self._paused_for_action = False
-        self._tell_where_until_resumed = False
+        self._has_returned = False
         self._told_where_at = 0.0
         # A jump is due on a frame's edge. Where the screen paces the flips, one drawn only then would be a frame late.
         self._lead = 0.0 if config.stimulus.headless else FRAME_S / 2
@@ -118,7 +118,7 @@ class _Shell:
     def recall(self) -> None:
         """Go on where a stimulus before this one ended."""
         self._paradigm.remember(self._peer.remember().said, self._clock.now())
-        self._tell_where_until_resumed = True
+        self._has_returned = True
 
     def frame(self) -> None:
         """Input, update, draw, flip, then the messages that tell of it, then wait for what comes next."""
@@ -218,9 +218,10 @@ class _Shell:
             self._paused_for_action = True
 
     def _tell_where(self, now: float) -> None:
-        """After a return, until everybody is known to hear this process again."""
-        self._tell_where_until_resumed &= self._paradigm.waiting_for == "resume"
-        if self._tell_where_until_resumed and local_clock() - self._told_where_at >= HEARTBEAT_S:
+        """In a pause of a stimulus that took a dead one's place: whoever is started again later must hear it as well,
+        and truth is told at no other time then."""
+        is_due = self._has_returned and self._paradigm.waiting_for == "resume"
+        if is_due and local_clock() - self._told_where_at >= HEARTBEAT_S:
             self._told_where_at = local_clock()
             self._paradigm.tell_where(now)
 
