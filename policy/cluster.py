@@ -3,6 +3,7 @@
 Tasks go to Dask directly: through joblib, one that Dask itself gives up would be waited for without end.
 """
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
@@ -16,6 +17,8 @@ Made = TypeVar("Made")
 CONNECT_TIMEOUT_S = 10.0
 """Real seconds a scheduler may take to answer, and its first worker to be there."""
 PACKAGE = "errp-bci"
+ADDRESS = re.compile(r"(tcp|tls|ws|wss|ucx)://[^\s/]+:\d+")
+"""Of a scheduler: dask would try others for long, and complain of more than one thing."""
 
 
 @contextmanager
@@ -31,6 +34,8 @@ def connected(address: str | None) -> Iterator[Any]:
         from dask.distributed import Client
     except ImportError as error:
         raise SetupError("--backend dask needs the package dask: pip install 'errp-bci[cluster]'.") from error
+    if not ADDRESS.fullmatch(address):
+        raise SetupError(f"--scheduler should be an address like tcp://192.168.0.5:8786, found {address!r}.")
     try:
         client = Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError) as error:

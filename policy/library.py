@@ -115,7 +115,7 @@ def train(
     worlds, wanted = _distinct(maps), list(dict.fromkeys(wanted))
     _check_wanted(worlds, wanted, recipe, folder)
     with pool_of(backend) as pool:
-        _check_writable(folder)
+        check_writable(folder)
 
         def finished(jobs: Sequence[Job], what: str) -> list[Path]:
             _sweep(jobs, folder, pool, progress, what)
@@ -176,8 +176,8 @@ def _check_wanted(worlds: Sequence[GridWorld], wanted: Sequence[Verdicts], recip
         seen[path.name.casefold()] = path
 
 
-def _check_writable(folder: Path) -> None:
-    """Make the folder and try it, before hours are spent on what couldn't be kept there."""
+def check_writable(folder: Path) -> None:
+    """Make the folder and try it, before hours are spent on what couldn't be kept there. Raises SetupError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.NamedTemporaryFile(dir=folder).close()

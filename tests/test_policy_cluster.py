@@ -127,3 +127,9 @@ def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
 def test_a_cluster_needs_an_address():
     with pytest.raises(SetupError, match="needs --scheduler ADDRESS"), connected(None):
         pass
+
+
+@pytest.mark.parametrize("address", ["nonsense", "tcp://127.0.0.1", "127.0.0.1:8786"])
+def test_what_is_no_address_is_refused_at_once(address):
+    with pytest.raises(SetupError, match="should be an address like tcp://"), connected(address):
+        pass

@@ -19,7 +19,7 @@ from policy.baselines import BayesPlayer, OraclePlayer
 from policy.evaluation import Played, Player, evaluate, play_many, summarise, wilson
 from policy.experiment1 import Row, Tables, figures, influence, published
 from policy.experiment1.shelf import Series, Shelf, verdicts_of
-from policy.library import ACCURACIES
+from policy.library import ACCURACIES, check_writable
 from policy.observation import STEP_LIMIT
 from policy.players import heard
 from policy.simulator import MAX_DISTANCE, MIN_DISTANCE, Simulator, pair_weights
@@ -93,7 +93,7 @@ def run(
         for name, rows in job().items():
             tables[name] += rows
     progress("figures", len(work), len(work) + 1)
-    folder.mkdir(parents=True, exist_ok=True)
+    check_writable(folder)
     drawn = figures.draw(tables, {shelf.world.name: shelf.world.layout() for shelf in shelves}, folder)
     result = {
         "episodes": episodes,
