@@ -246,12 +246,20 @@ def load(path: Path | None = None, overrides: dict[str, Any] | None = None) -> C
     values = _read(path) if path else {}
     if not isinstance(values, dict):
         raise SetupError(f"{path} should hold a table of settings, found {values!r:.60}.")
-    for section, keys in (overrides or {}).items():
-        if isinstance(keys, dict) and isinstance(values.get(section, {}), dict):
-            values[section] = {**values.get(section, {}), **keys}
-        else:
-            values[section] = keys
-    return validated(values, str(path or "the command line"))
+    return validated(_overridden(values, overrides or {}), str(path or "the command line"))
+
+
+def changed(config: Config, overrides: dict[str, Any]) -> Config:
+    """A configuration overridden by ``{"section": {"key": value}}``. Raises SetupError as `load` does."""
+    return validated(_overridden(config.model_dump(mode="json"), overrides), "the program itself")
+
+
+def _overridden(values: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
+    found = dict(values)
+    for section, keys in overrides.items():
+        both_tables = isinstance(keys, dict) and isinstance(values.get(section, {}), dict)
+        found[section] = {**values.get(section, {}), **keys} if both_tables else keys
+    return found
 
 
 def validated(values: Any, where: str) -> Config:

@@ -63,13 +63,14 @@ class Crew:
 
     def _failure(self, role: Role, code: int) -> Exception:
         path = self._logs / f"{role}.log"
+        if code < 0:
+            return LinkLost(f"The {role} process was killed by signal {-code} (log: {path}).")
         lines = path.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         said = [line.removeprefix("Error: ") for line in lines if line.startswith("Error: ")] or lines
         last = said[-1] if said else "it said nothing"
         if code == SetupError.exit_code:
             return SetupError(last)
-        how = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}: {last}"
-        return LinkLost(f"The {role} process {how} (log: {path}).")
+        return LinkLost(f"The {role} process ended with code {code}: {last} (log: {path}).")
 
     def ended(self) -> set[Role]:
         """Roles whose process is not running any more."""

@@ -18,6 +18,7 @@ from bci_app.eeg import EegDescription
 from bci_app.errors import LinkLost, SetupError
 from bci_app.lsl import EegInlet, all_streams, find_eeg, finds_streams, local_clock
 from bci_app.progress import Progress
+from bci_app.trial import check
 from bci_app.verbs import disk
 
 FIND_S = 5.0
@@ -39,7 +40,7 @@ def examine(config: Config, model_path: Path | None, progress: Progress, in_tria
     """
     progress("looking at the network", 0, 3)
     streams = all_streams()
-    checks = [_network(), _check("streams on the network", bool(streams), f"{len(streams)} found")]
+    checks = [_network(), check("streams on the network", bool(streams), f"{len(streams)} found")]
     progress("looking at the EEG", 1, 3)
     try:
         info = find_eeg(config.eeg, timeout=2.0)
@@ -47,19 +48,19 @@ def examine(config: Config, model_path: Path | None, progress: Progress, in_tria
         description = inlet.description
         text = f"'{description.name}', {len(description.picks)} EEG channels at {description.sfreq:g} Hz"
         samples, times = _listen(inlet)
-        checks += [_check("EEG stream with labels and units", True, text), _rate(inlet, config, times)]
+        checks += [check("EEG stream with labels and units", True, text), _rate(inlet, config, times)]
         checks += [_clock(inlet, times), _electrodes(inlet, samples, times, config), _disk(config, description)]
         if not description.source_id:
-            checks.append(_check("the stream can come back", False, NO_SOURCE_ID.format(name=description.name)))
+            checks.append(check("the stream can come back", False, NO_SOURCE_ID.format(name=description.name)))
         if model_path:
             checks.append(_fits(model_path, inlet))
     except (SetupError, LinkLost) as error:
-        checks.append(_check("EEG stream with labels and units", False, str(error)))
+        checks.append(check("EEG stream with labels and units", False, str(error)))
     progress("making a few moves", 2, 3)
-    if in_trial and all(check["ok"] for check in checks):
+    if in_trial and all(each["ok"] for each in checks):
         checks += trial.run(config, model_path, progress)
     progress("done", 3, 3)
-    return {"streams": streams, "checks": checks, "fit": all(check["ok"] for check in checks)}
+    return {"streams": streams, "checks": checks, "fit": all(each["ok"] for each in checks)}
 
 
 def _network() -> dict[str, Any]:
@@ -71,8 +72,8 @@ def _network() -> dict[str, Any]:
             f"not even one on this computer within {FIND_S:g} s: a firewall or the network keeps LSL's multicast from "
             "its way, so that no amplifier can be found though it runs. Let UDP and TCP 16571-16604 through"
         )
-        return _check(what, False, text)
-    return _check(what, True, "one of our own was found")
+        return check(what, False, text)
+    return check(what, True, "one of our own was found")
 
 
 def _clock(inlet: EegInlet, times: NDArray[np.float64]) -> dict[str, Any]:
@@ -80,12 +81,12 @@ def _clock(inlet: EegInlet, times: NDArray[np.float64]) -> dict[str, Any]:
     offset = inlet.clock_correction()
     age = now - (float(times[-1]) + offset) if len(times) else float("nan")
     text = f"{offset * 1e3:+.2f} ms to this computer's; the newest sample is {age * 1e3:.0f} ms old"
-    return _check(what, abs(age) < CLOCK_S, text)
+    return check(what, abs(age) < CLOCK_S, text)
 
 
 def _disk(config: Config, eeg: EegDescription) -> dict[str, Any]:
     what, (needed, free) = "room for a session on the disk", disk(config, eeg)
-    return _check(what, free >= needed, f"{free / 1e9:.1f} GB free, about {needed / 1e9:.1f} GB needed")
+    return check(what, free >= needed, f"{free / 1e9:.1f} GB free, about {needed / 1e9:.1f} GB needed")
 
 
 def _listen(inlet: EegInlet) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
@@ -104,8 +105,8 @@ def _rate(inlet: EegInlet, config: Config, times: NDArray[np.float64]) -> dict[s
     try:
         rate = check_rate(times, description.sfreq, description.name, config.eeg.rate_tolerance)
     except SetupError as error:
-        return _check("samples at the nominal rate", False, str(error))
-    return _check("samples at the nominal rate", True, f"{rate:.2f} Hz over {LOOK_S:g} s")
+        return check("samples at the nominal rate", False, str(error))
+    return check("samples at the nominal rate", True, f"{rate:.2f} Hz over {LOOK_S:g} s")
 
 
 def _electrodes(
@@ -120,14 +121,14 @@ def _electrodes(
         judge = judge_without(config, description, "")
         found = Examiner("", description.picked, description.sfreq).examine((0, 0), samples, times, since=-np.inf)
     except SetupError as error:
-        return _check(what, False, str(error))
+        return check(what, False, str(error))
     if not found.n_samples:
-        return _check(what, False, f"too little EEG in {LOOK_S:g} s to tell")
+        return check(what, False, f"too little EEG in {LOOK_S:g} s to tell")
     if not found.bad:
-        return _check(what, True, f"all {len(description.picked)} are good")
+        return check(what, True, f"all {len(description.picked)} are good")
     text = "; ".join(f"{name}: {', '.join(faults)}" for name, faults in found.bad.items())
     unusable = judge.with_bad(found.bad).unusable
-    return _check(what, unusable is None, text if unusable is None else f"{text}. {unusable}")
+    return check(what, unusable is None, text if unusable is None else f"{text}. {unusable}")
 
 
 def _fits(model_path: Path, inlet: EegInlet) -> dict[str, Any]:
@@ -137,12 +138,8 @@ def _fits(model_path: Path, inlet: EegInlet) -> dict[str, Any]:
     try:
         fit_stream(load(model_path), description.name, description.picked, description.sfreq)
     except SetupError as error:
-        return _check("EEG fits the decoder", False, str(error))
-    return _check("EEG fits the decoder", True, f"all channels of {model_path.name} are there")
-
-
-def _check(what: str, ok: bool, text: str) -> dict[str, Any]:
-    return {"check": what, "ok": ok, "text": text}
+        return check("EEG fits the decoder", False, str(error))
+    return check("EEG fits the decoder", True, f"all channels of {model_path.name} are there")
 
 
 def show(result: dict[str, Any], console: Console) -> None:
@@ -152,6 +149,6 @@ def show(result: dict[str, Any], console: Console) -> None:
         values = ("name", "type", "channels", "sfreq", "source_id", "hostname")
         streams.add_row(*(escape(str(stream[key])) for key in values))
     checks = Table("", "check", "found", title="Checks")
-    for check in result["checks"]:
-        checks.add_row("[green]ok[/]" if check["ok"] else "[red]no[/]", check["check"], escape(check["text"]))
+    for each in result["checks"]:
+        checks.add_row("[green]ok[/]" if each["ok"] else "[red]no[/]", each["check"], escape(each["text"]))
     console.print(streams, checks)

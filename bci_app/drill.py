@@ -18,20 +18,18 @@ from rich.table import Table
 
 from bci_app import fitting, verbs
 from bci_app import replay as replaying
-from bci_app.config import Config
+from bci_app.config import Config, changed
 from bci_app.errors import LinkLost, SetupError
 from bci_app.gridworld import ACTIONS, compile_map
-from bci_app.heard import Heard
 from bci_app.lsl import local_clock
 from bci_app.moves import cut_moves
 from bci_app.progress import Progress, named
 from bci_app.protocol import Action, EpisodeStart, MoveOnset, Role, SessionStart
-from bci_app.recording import Recording, first_verdicts, read
+from bci_app.recording import Recording, read
 from bci_app.session import Stage
-from bci_app.supervisor import Supervisor
 
 PARTICIPANT = "DRILL"
-SHORT = {
+SHORT: dict[str, Any] = {
     "calibration": {"n_blocks": 2, "moves_per_block": 20, "break_s": 1.0},
     "online": {"distances": [2, 8]},
     "simulation": {"dead": ["C3"]},
@@ -98,14 +96,13 @@ class _Saboteur:
     """Real seconds after the run's first message."""
     began: float | None = None
     acted: float | None = None
-    path: Path | None = None
-    heard: Heard | None = None
-    supervisor: Supervisor | None = None
+    stage: Stage | None = None
+    """The run; None until it is recorded."""
     _known: list[tuple[float, int]] = field(default_factory=list)  # how many moves were heard of, by real time
 
     def __call__(self, stage: Stage) -> None:
         now = local_clock()
-        self.path, self.heard, self.supervisor = stage.recorder.path, stage.heard, stage.supervisor
+        self.stage = stage
         if stage.heard.start is None or stage.heard.end is not None:
             return
         self.began = self.began or now
@@ -160,11 +157,7 @@ def run(
     if unknown:
         raise SetupError(f"--fault must be one of {', '.join(FAULTS)}; found {', '.join(unknown)}.")
     folder = Path(tempfile.mkdtemp(prefix="bci-app-drill-"))
-    settings = config.model_dump(mode="json") | {"recordings": str(folder)}
-    for section, values in SHORT.items():
-        settings[section] |= values
-    settings["stimulus"]["headless"] = True
-    short = Config.model_validate(settings)
+    short = changed(config, {"recordings": str(folder), "stimulus": {"headless": True}, **SHORT})
     wishes = verbs.Wishes(short, PARTICIPANT, simulate=True, speed=speed, seed=seed)
     model = _decoder(replace(wishes, speed=max(speed, 20.0)), progress)
     rng, rows = Random(seed), []
@@ -184,8 +177,7 @@ def is_good(row: dict[str, Any]) -> bool:
 
 
 def _decoder(wishes: verbs.Wishes, progress: Progress) -> Path:
-    calibration = wishes.config.calibration.model_copy(update={"n_blocks": 2, "moves_per_block": 60})
-    longer = replace(wishes, config=wishes.config.model_copy(update={"calibration": calibration}))
+    longer = replace(wishes, config=changed(wishes.config, {"calibration": {"n_blocks": 2, "moves_per_block": 60}}))
     told = verbs.calibrate(longer, named(progress, "calibrating"))
     return Path(fitting.fit([Path(told["recording"])], wishes.config, False, progress)["model"])
 
@@ -193,10 +185,9 @@ def _decoder(wishes: verbs.Wishes, progress: Progress) -> Path:
 def _session(wishes: verbs.Wishes, model: Path, name: str, rng: Random, progress: Progress) -> Outcome:
     fault = FAULTS[name]
     at = rng.uniform(0.5, 100 / wishes.speed)
-    simulation = wishes.config.simulation.model_dump(mode="json") | fault.settings(rng, at)
-    settings = wishes.config.model_dump(mode="json") | {"simulation": simulation}
+    settings = changed(wishes.config, {"simulation": fault.settings(rng, at)})
     saboteur = _Saboteur(fault, at)
-    wish = replace(wishes, config=Config.model_validate(settings), seed=rng.randrange(2**31), disturb=saboteur)
+    wish = replace(wishes, config=settings, seed=rng.randrange(2**31), disturb=saboteur)
     is_calibration = "policy" not in name and rng.random() < 0.5
     ended = ""
     try:
@@ -210,19 +201,19 @@ def _session(wishes: verbs.Wishes, model: Path, name: str, rng: Random, progress
 
 
 def _judged(saboteur: _Saboteur, ended: str) -> Outcome:
-    if saboteur.path is None or saboteur.heard is None or saboteur.supervisor is None:
+    if saboteur.stage is None:
         return Outcome(False, 0, 0, 0, None, f"The session never began: {ended}")
-    fault, path = saboteur.fault, saboteur.path
+    fault, heard, path = saboteur.fault, saboteur.stage.heard, saboteur.stage.recorder.path
     recording = read(path, allow_damage=True)
-    complete = saboteur.heard.end is not None and saboteur.heard.end.reason == "complete" and not ended
+    complete = heard.end is not None and heard.end.reason == "complete" and not ended
     replayed = replaying.replay(path, None, None, True, lambda *_: None)
     counts = replayed["replay"]
     wrong = sum(counts[what] - counts[f"{what}_equal"] for what in ("electrodes", "verdicts", "actions"))
     wrong += _contradictions(recording, complete)
-    expected = saboteur.n_moves_before() if ended else saboteur.heard.moves
+    expected = saboteur.n_moves_before() if ended else heard.moves
     lost = max(0, expected - len(recording.of(MoveOnset)))
     survived = bool(ended) if fault.ends_run and saboteur.acted else complete
-    went_on, acted = saboteur.supervisor.went_on_at, saboteur.acted
+    went_on, acted = saboteur.stage.supervisor.went_on_at, saboteur.acted
     recovery = went_on - acted if acted is not None and went_on > acted else None
     text = "; ".join([*replayed["differences"][:1], *([ended] if ended and not fault.ends_run else [])])
     if survived and not lost and not wrong:
@@ -247,7 +238,7 @@ def _contradictions(recording: Recording, complete: bool) -> int:
         cell = int(world.next_cell[world.cell_at(*before), ACTIONS.index(move.action)])
         found += chosen.get(key, move.action) != move.action or cell != world.cell_at(*move.position)
     if complete and opening.n_moves is not None:
-        valid = sum(verdict.outcome != "rejected" for verdict in first_verdicts(recording).values())
+        valid = sum(verdict.outcome != "rejected" for verdict in recording.verdicts.values())
         found += valid != opening.n_moves
     return found
 
@@ -257,8 +248,7 @@ def _whole_but_unjudged(recording: Recording) -> int:
     from decoder.chain import design
     from decoder.epochs import Epoch, Shape
 
-    verdicts = first_verdicts(recording)
-    late = {key for key, verdict in verdicts.items() if verdict.by_time}
+    late = {key for key, verdict in recording.verdicts.items() if verdict.by_time}
     if not late:
         return 0
     chain = design(Config().chain, recording.eeg.sfreq)

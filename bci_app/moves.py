@@ -7,7 +7,7 @@ from functools import cache
 from typing import TypeVar
 
 from bci_app.protocol import Electrodes, MoveOnset
-from bci_app.recording import Recording, first_verdicts
+from bci_app.recording import Recording
 from decoder.epochs import Epoch, Rejection, Shape, cut_one_by_one
 from decoder.judge import Judge
 
@@ -33,7 +33,7 @@ def cut_moves(recording: Recording, shape: Shape) -> Iterator[tuple[Move, Epoch 
     The offset between the clocks of stimulus and EEG is the one the decoder used and wrote into its verdict; without
     a verdict (a run without our decoder) the clocks are taken as one, as they are on one machine.
     """
-    offsets = {key: verdict.clock_offset for key, verdict in first_verdicts(recording).items()}
+    offsets = {key: verdict.clock_offset for key, verdict in recording.verdicts.items()}
     onsets: dict[tuple[int, int], float] = {}
     for stamp, move in recording.of(MoveOnset):
         onsets.setdefault((move.episode, move.step), stamp)

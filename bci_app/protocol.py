@@ -284,29 +284,7 @@ class Recall(Message):
     said: tuple[Said, ...]
 
 
-AnyMessage = (
-    SessionStart
-    | BlockStart
-    | BlockEnd
-    | EpisodeStart
-    | MoveOnset
-    | EpisodeEnd
-    | Pause
-    | Resume
-    | Continued
-    | SessionEnd
-    | RunSeed
-    | EpisodeGoal
-    | Truth
-    | Electrodes
-    | Verdict
-    | Action
-    | Status
-    | Note
-    | Command
-    | Returned
-    | Recall
-)
+AnyMessage = Tellable | Continued | RunSeed | EpisodeGoal | Truth | Status | Note | Returned | Recall
 _adapter: TypeAdapter[AnyMessage] = TypeAdapter(Annotated[AnyMessage, Field(discriminator="type")])
 
 

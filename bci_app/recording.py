@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bci_app.eeg import EegDescription
 from bci_app.errors import SetupError
-from bci_app.protocol import STREAMS, BadMessage, Message, Verdict, decode
+from bci_app.protocol import STREAMS, BadMessage, Message, SessionEnd, Verdict, decode
 from bci_app.runs import known_of
 from bci_app.said import without_void
 from bci_app.xdf import MAGIC, salvage
@@ -39,7 +39,7 @@ class Recording:
     eeg : header of the EEG stream.
     samples : (n_times, n_channels), as on the wire; ``eeg.in_microvolts`` gives the EEG.
     times : float64, (n_times,), raw stamps in seconds.
-    messages : of all our streams, ordered by stamp; without what a stimulus that died announced and nobody remembers.
+    messages : of all our streams that count (`said.without_void`), ordered by stamp.
     damage : sentences about what is missing or unreadable; empty for a whole file.
     """
 
@@ -54,14 +54,15 @@ class Recording:
         """All messages of one type with their stamps, in order."""
         return [(item.stamp, item.message) for item in self.messages if isinstance(item.message, kind)]
 
+    @property
+    def verdicts(self) -> dict[tuple[int, int], Verdict]:
+        """The verdict on each move, by (episode, step)."""
+        return {(verdict.episode, verdict.step): verdict for _, verdict in self.of(Verdict)}
 
-def first_verdicts(recording: Recording) -> dict[tuple[int, int], Verdict]:
-    """The verdict on each move, by (episode, step). Where a decoder was started again there may be two: the first
-    counts, for the policy had acted on it."""
-    found: dict[tuple[int, int], Verdict] = {}
-    for _, verdict in recording.of(Verdict):
-        found.setdefault((verdict.episode, verdict.step), verdict)
-    return found
+    @property
+    def is_cut(self) -> bool:
+        """Whether the run's end isn't in it: it was broken off, or its recorder was."""
+        return not self.of(SessionEnd)
 
 
 def read(path: Path, allow_damage: bool = False, eeg_type: str = "EEG") -> Recording:

@@ -16,8 +16,8 @@ from bci_app.errors import SetupError
 from bci_app.gridworld import GridWorld, compile_map
 from bci_app.moves import cut_moves, electrodes, judges
 from bci_app.progress import Progress
-from bci_app.protocol import Action, Electrodes, EpisodeEnd, EpisodeStart, MoveOnset, SessionEnd, SessionStart, Verdict
-from bci_app.recording import Recording, first_verdicts, read
+from bci_app.protocol import Action, Electrodes, EpisodeEnd, EpisodeStart, MoveOnset, SessionStart, Verdict
+from bci_app.recording import Recording, read
 from bci_app.runs import check_untouched, checksum, eeg_type, read_sidecar
 from bci_app.told import Told
 
@@ -116,9 +116,9 @@ def _verdicts(
     from decoder.model import load
 
     path = _file_of_run(recording.path, sidecar, "model", model)
-    recorded = first_verdicts(recording)
+    recorded = recording.verdicts
     session = next(iter(recorded.values())).session if recorded else ""
-    unfinished, is_cut = _unfinished(recording, max(recorded, default=(0, 0))), not recording.of(SessionEnd)
+    unfinished = _unfinished(recording, max(recorded, default=(0, 0)))
     eeg = recording.eeg
     judge = judge_with(load(path), config, eeg, session) if path else judge_without(config, eeg, session)
     bad = {pair.key: pair.replayed for pair in decisions if isinstance(pair.replayed, Electrodes)}
@@ -130,7 +130,7 @@ def _verdicts(
             # When the samples came isn't in the file; the decoder said that this was the reason, so it is taken over.
             yield Compared(key, before, before)
             continue
-        if is_cut and move.onset + judge.shape.n_after / judge.shape.sfreq > recording.times[-1]:
+        if recording.is_cut and move.onset + judge.shape.n_after / judge.shape.sfreq > recording.times[-1]:
             yield Compared(key, before, before, must_be_equal=False)  # its last samples were never written
             continue
         verdict = judge_of(key).verdict(key, result, move.clock_offset)
@@ -162,7 +162,6 @@ def _actions(
     recorded = {(action.episode, action.step): action for _, action in recording.of(Action)}
     unfinished = _unfinished(recording, max(recorded, default=(0, 0)))
     replayed = {pair.key: pair.replayed for pair in verdicts}
-    is_cut = not recording.of(SessionEnd)
     action: Action | None
     for item in recording.messages:
         match item.message:
@@ -172,10 +171,11 @@ def _actions(
                 key, following = (onset.episode, onset.step), (onset.episode, onset.step + 1)
                 verdict = replayed.get(key)
                 judged = verdict if isinstance(verdict, Verdict) else None
-                action = navigator.again(onset, judged, is_without(recorded.get(following)))
-                if following not in recorded and (unfinished(key) or unfinished(following)):
+                went_on = is_without(recorded.get(following))
+                action = navigator.again(onset, judged, went_on)
+                if following not in recorded and unfinished(key):
                     continue
-                if is_cut and judged is None and not is_without(recorded.get(following)):
+                if recording.is_cut and judged is None and not went_on:
                     continue  # the verdict it was chosen by was never written
             case _:
                 continue
@@ -200,10 +200,10 @@ def _unfinished(recording: Recording, newest: Key) -> Callable[[Key], bool]:
     last: dict[int, int] = {}
     for _, move in recording.of(MoveOnset):
         last[move.episode] = max(move.step, last.get(move.episode, 0))
-    has_end = bool(recording.of(SessionEnd))
+    is_cut = recording.is_cut
 
     def unfinished(key: Key) -> bool:
-        return (key[0] in aborted and last.get(key[0]) == key[1]) or (not has_end and key > newest)
+        return (key[0] in aborted and last.get(key[0]) == key[1]) or (is_cut and key > newest)
 
     return unfinished
 

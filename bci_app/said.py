@@ -56,12 +56,22 @@ def is_void(message: Message, continued: Continued) -> bool:
 
 
 def without_void(items: Iterable[T], message_of: Callable[[T], Message]) -> list[T]:
-    """Those that count, of all in the order in which they were said."""
+    """Those that count, of all in the order in which they were said.
+
+    Where a decoder was started again there may be two verdicts on a move: the first counts, for the policy acted on it.
+    """
     kept: list[T] = []
+    judged: set[Place] = set()
     for item in items:
         message = message_of(item)
         if isinstance(message, Continued):
             kept = [before for before in kept if not is_void(message_of(before), message)]
+            judged = {place for place in judged if place <= place_after(message)}
+        elif isinstance(message, Verdict):
+            place = message.episode, message.step
+            if place in judged:
+                continue
+            judged.add(place)
         kept.append(item)
     return kept
 

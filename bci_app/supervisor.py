@@ -103,6 +103,7 @@ class Supervisor:
         """Do what is to be done now. Raises SetupError or LinkLost for what can't be mended."""
         now = local_clock()
         self._follow_eeg(now)
+        self._follow_messages()
         for role, how in self._failures(now).items():
             self._start_again(role, how, now)
         self._answer()
@@ -151,7 +152,8 @@ class Supervisor:
             others = [other for other in self._roles if other != role and self._wellness.is_back(other)]
             is_all_here = all(self._newest.get(other, stamp) > stamp for other in others)
             # Its answer to what it is told must reach everybody, and the recording.
-            if is_all_here and self._wellness.hear_again(role) and not self._is_unrecorded(STREAM_OF[role]):
+            is_recorded = STREAM_OF[role].source_id(self._peer.session) not in self._awaited
+            if is_all_here and self._wellness.hear_again(role) and is_recorded:
                 self._peer.push(self.memory.recall(role))
                 del self._returned[role]
 
@@ -176,18 +178,17 @@ class Supervisor:
             command: Literal["pause", "resume"] = "pause" if troubles else "resume"
             self._peer.push(Command(session=self._peer.session, command=command, text=self.waits_for or ""))
 
-    def _is_unrecorded(self, spec: StreamSpec) -> bool:
-        self._unrecorded()
-        return spec.source_id(self._peer.session) in self._awaited
-
-    def _unrecorded(self) -> list[str]:
-        """Streams of processes that were started again and haven't come into the file yet."""
+    def _follow_messages(self) -> None:
+        """Which streams of processes that were started again have come into the file."""
         found = self._follower.n_chunks
         for source, chunks in self._awaited.items():
             role = next(spec.role for spec in STREAMS if spec.source_id(self._peer.session) == source)
             if chunks < 0 and self._wellness.is_back(role):
                 self._awaited[source] = found[source] + 1  # what is written from now on is the new process's
         self._awaited = {source: n for source, n in self._awaited.items() if n < 0 or found[source] < n}
+
+    def _unrecorded(self) -> list[str]:
+        """What the recording lacks, in sentences."""
         names = [source.rsplit("/")[-1] for source in self._awaited] + (["the EEG"] if self._is_eeg_short else [])
         return [f"The recorder doesn't hear {name} yet." for name in names]
 

@@ -116,12 +116,15 @@ class Wellness:
         found = []
         for role in self.roles:
             status = self._known[role].status
-            for spec in self._listens(role) if status is not None else ():
-                if spec.role not in newest or spec.kind != "Events":
-                    continue
-                heard = status.hears.get(spec.name, float("-inf")) if status else float("-inf")
-                if newest[spec.role] - heard > stale:
-                    found.append(f"The {role} has lost {spec.name}.")
+            if status is None:
+                continue
+            found += [
+                f"The {role} has lost {spec.name}."
+                for spec in self._listens(role)
+                if spec.kind == "Events"
+                and spec.role in newest
+                and newest[spec.role] - status.hears.get(spec.name, float("-inf")) > stale
+            ]
         return found
 
     def troubles(self) -> list[str]:

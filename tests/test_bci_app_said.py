@@ -111,6 +111,14 @@ def test_what_came_after_the_place_where_it_goes_on_is_void() -> None:
     assert told(memory, "stimulus") == [*STORY[:6], *after]
 
 
+def test_of_two_verdicts_on_a_move_the_first_counts_unless_it_is_void() -> None:
+    late = verdict(0, 1).model_copy(update={"outcome": "rejected"})
+    story: list[Message] = [start(0), move(0, 1), verdict(0, 1), late]
+    assert without_void(story, lambda message: message) == story[:3]
+    again: list[Message] = [Continued(session="s", episode=0, step=0), move(0, 1), late]
+    assert without_void([*story, *again], lambda message: message) == [start(0), *again]
+
+
 def test_an_episode_that_ended_stays_ended() -> None:
     between = Continued(session="s", episode=0)
     assert not any(is_void(message, between) for message in STORY[:9])
