@@ -9,9 +9,9 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-PROTOCOL_VERSION: Literal[4] = 4
-"""What we send. Older ones are still read, for calibrations are kept in them: 3 is the same without `Returned`,
-`Recall`, `Continued` and `Status.hears`, 2 also without `Electrodes`, 1 also without `Verdict.evidence`."""
+PROTOCOL_VERSION: Literal[5] = 5
+"""What we send. Older ones are still read, for calibrations are kept in them: 4 is the same without `Link`,
+`LateFrame`, `Screen` and `Belief`, 3 also without `Returned`, `Recall`, `Continued` and `Status.hears`, 2 also without `Electrodes`, 1 also without `Verdict.evidence`."""
 
 Position = tuple[int, int]
 """(row, column), both from 0, row 0 in the north."""
@@ -19,7 +19,7 @@ Sensed = tuple[bool, bool, bool, bool, bool]
 """Goal sensed: here, north, south, west, east."""
 ActionName = Literal["north", "south", "west", "east"]
 VerdictUsed = Literal["error", "correct", "missing"]
-Role = Literal["stimulus", "decoder", "policy", "amplifier", "session"]
+Role = Literal["stimulus", "decoder", "policy", "amplifier", "session", "console"]
 Index = Annotated[int, Field(ge=0)]
 Step = Annotated[int, Field(ge=1)]
 
@@ -28,7 +28,7 @@ class Message(BaseModel):
     """What all messages carry. Immutable; unknown fields are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    protocol: Literal[1, 2, 3, 4] = PROTOCOL_VERSION
+    protocol: Literal[1, 2, 3, 4, 5] = PROTOCOL_VERSION
     session: str
 
 
@@ -232,6 +232,55 @@ class Note(Message):
     text: str
 
 
+class Link(Message):
+    """How well a process hears a stream; said once a second of real time."""
+
+    type: Literal["Link"] = "Link"
+    role: Role
+    """Who hears it."""
+    stream: str
+    """The stream's name."""
+    age_s: Annotated[float, Field(ge=0)]
+    """Real seconds since its newest sample came."""
+    rate_hz: float | None = None
+    """Samples a session second lately; None where that tells nothing, as of a stream of messages."""
+    gaps: Index = 0
+    """Times that samples were missing, so far."""
+    offset_s: float | None = None
+    """Seconds to add to its stamps to put them on this process's clock; None where not known yet."""
+    reconnects: Index = 0
+    """Times that it was silent for more than a second and came back, so far."""
+
+
+class LateFrame(Message):
+    """A picture came to the screen later than it was due, or one was left out."""
+
+    type: Literal["LateFrame"] = "LateFrame"
+    episode: Annotated[int, Field(ge=-1)]
+    """-1 before the first."""
+    step: Index | None = None
+    """The move whose jump was late; None for any other picture."""
+    late_ms: Annotated[float, Field(ge=0)]
+
+
+class Screen(Message):
+    """What the participant sees between the moves: `name` is that of an instruction, a break, the end ..."""
+
+    type: Literal["Screen"] = "Screen"
+    name: str
+
+
+class Belief(Message):
+    """Where the policy believes the goal to be, as it chose the action for `step`. For people to look at: nothing
+    depends on it."""
+
+    type: Literal["Belief"] = "Belief"
+    episode: Index
+    step: Step
+    goal: tuple[Annotated[float, Field(ge=0, le=1)], ...]
+    """Probability of each free cell of the map, row by row."""
+
+
 class Command(Message):
     """From bci-app to the stimulus: begin, pause and go on again because of the other processes, stop as soon as
     possible, or finish: complete after the block under way."""
@@ -284,7 +333,21 @@ class Recall(Message):
     said: tuple[Said, ...]
 
 
-AnyMessage = Tellable | Continued | RunSeed | EpisodeGoal | Truth | Status | Note | Returned | Recall
+AnyMessage = (
+    Tellable
+    | Continued
+    | RunSeed
+    | EpisodeGoal
+    | Truth
+    | Status
+    | Note
+    | Returned
+    | Recall
+    | Link
+    | LateFrame
+    | Screen
+    | Belief
+)
 _adapter: TypeAdapter[AnyMessage] = TypeAdapter(Annotated[AnyMessage, Field(discriminator="type")])
 
 
@@ -333,6 +396,7 @@ VERDICTS = StreamSpec("bci-verdicts", "Events", "decoder")
 ACTIONS_STREAM = StreamSpec("bci-actions", "Events", "policy")
 AMPLIFIER_NOTES = StreamSpec("bci-amplifier", "Events", "amplifier")
 SESSION = StreamSpec("bci-session", "Events", "session")
+CONSOLE = StreamSpec("bci-console", "Events", "console")
 
 
 def simulated_source_id(session: str) -> str:
@@ -340,7 +404,7 @@ def simulated_source_id(session: str) -> str:
     return f"{StreamSpec.PREFIX}/{session}/eeg"
 
 
-STREAMS = (STIMULUS, TRUTH, MARKERS, VERDICTS, ACTIONS_STREAM, AMPLIFIER_NOTES, SESSION)
+STREAMS = (STIMULUS, TRUTH, MARKERS, VERDICTS, ACTIONS_STREAM, AMPLIFIER_NOTES, SESSION, CONSOLE)
 
 ACTION_CODES: dict[str, int] = {"north": 1, "south": 2, "west": 3, "east": 4}
 PLAIN_CODES = {

@@ -40,10 +40,10 @@ def test_floats_survive_to_the_bit(
     [
         ("hello", "Invalid JSON"),
         (b"\xff\xfe\x00", "Invalid JSON"),
-        (b'{"protocol": 4, "session": "\xff", "type": "Resume"}', "Invalid JSON"),
+        (b'{"protocol": 5, "session": "\xff", "type": "Resume"}', "Invalid JSON"),
         ("[" * 100_000, "Invalid JSON"),
         ("{}", "type"),
-        ('{"protocol": 5, "session": "s", "type": "Resume"}', "protocol"),
+        ('{"protocol": 6, "session": "s", "type": "Resume"}', "protocol"),
         ('{"protocol": 2, "session": "s", "type": "Resume", "extra": 1}', "extra"),
         ('{"protocol": 2, "session": "other", "type": "Resume"}', "session 'other'"),
         ('{"protocol": 2, "session": "s", "type": "Gossip"}', "type"),
@@ -71,7 +71,7 @@ def test_older_versions_are_read_and_the_newest_sent() -> None:
     old = decode(json.dumps({**message, "clock_offset": 0.0}), "s")
     assert isinstance(old, Verdict)
     assert (old.protocol, old.evidence) == (1, None)
-    assert json.loads(encode(protocol.Resume(session="s")))["protocol"] == protocol.PROTOCOL_VERSION == 4
+    assert json.loads(encode(protocol.Resume(session="s")))["protocol"] == protocol.PROTOCOL_VERSION == 5
     assert f"| `protocol` | integer | {protocol.PROTOCOL_VERSION}, the version of this page" in PAGE
 
 
