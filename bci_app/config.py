@@ -208,6 +208,8 @@ class SimulationConfig(Section):
     """Beginnings and lengths, real seconds after the session's start, of times in which no sample is delivered."""
     disconnects: tuple[tuple[Seconds, Seconds], ...] = ()
     """The same, but the stream is gone from the network as well."""
+    clock_jumps: tuple[tuple[Seconds, Seconds, float], ...] = ()
+    """Beginnings and lengths, as above, of times in which stamps are off, and by how many seconds."""
     packet_loss: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Share of packets, of `chunk_s` each, that are lost on their way, in bursts of five in the mean."""
     background: str | None = None

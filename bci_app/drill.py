@@ -18,7 +18,7 @@ from rich.table import Table
 
 from bci_app import fitting, verbs
 from bci_app import replay as replaying
-from bci_app.config import Config, changed
+from bci_app.config import Config, SimulationConfig, changed
 from bci_app.errors import LinkLost, SetupError
 from bci_app.gridworld import ACTIONS, compile_map
 from bci_app.lsl import local_clock
@@ -37,6 +37,8 @@ SHORT: dict[str, Any] = {
 """A session of a drill: some 40 moves, with an electrode that must be repaired."""
 DROP_OUT_S = (0.1, 30.0)
 """Shortest and longest real seconds for which an amplifier drops out, even in their logarithm."""
+JUMP_S = (10.0, 200_000.0)
+"""Smallest and largest session seconds by which a clock jumps, even in their logarithm."""
 RECORDED_S = 1.0
 """Real seconds before the end of its recorder of which a session may miss what was said."""
 
@@ -70,6 +72,11 @@ def _gone(rng: Random) -> float:
     return float(low * (high / low) ** rng.random())
 
 
+def _jump(rng: Random) -> float:
+    low, high = JUMP_S
+    return float(rng.choice((-1, 1)) * low * (high / low) ** rng.random())
+
+
 FAULTS: dict[str, Fault] = {
     "stimulus killed": _kill("stimulus"),
     "decoder killed": _kill("decoder"),
@@ -80,6 +87,7 @@ FAULTS: dict[str, Fault] = {
     "policy hangs": _hang("policy"),
     "amplifier drops out": Fault(settings=lambda rng, at: {"drop_outs": [[at, _gone(rng)]]}),
     "amplifier disconnects": Fault(settings=lambda rng, at: {"disconnects": [[at, _gone(rng)]]}),
+    "amplifier's clock jumps": Fault(settings=lambda rng, at: {"clock_jumps": [[at, _gone(rng), _jump(rng)]]}),
     "1 % of packets lost": Fault(settings=lambda _rng, _at: {"packet_loss": 0.01}),
     "5 % of packets lost": Fault(settings=lambda _rng, _at: {"packet_loss": 0.05}),
     "recorder killed": Fault(lambda stage: stage.recorder.kill(), ends_run=True),
@@ -94,6 +102,9 @@ class _Saboteur:
     fault: Fault
     at: float
     """Real seconds after the run's first message."""
+    lasts: float = 0.0
+    """Real seconds until what was lost is there again by itself."""
+    is_clock_off: bool = False
     began: float | None = None
     acted: float | None = None
     stage: Stage | None = None
@@ -128,7 +139,8 @@ class Outcome:
     wrong_actions : actions, and verdicts, that the replay finds otherwise; moves that aren't what was chosen, don't
         follow from the one before, or are missing in a block.
     epochs_lost : whole epochs in the recording that got no verdict.
-    recovery_s : real seconds from the fault until the stimulus went on; None where it never had to wait.
+    recovery_s : real seconds from the fault, or from when what was lost is there again by itself, until the stimulus
+        went on; None where it never had to wait.
     text : what went wrong, where something did.
     """
 
@@ -186,7 +198,7 @@ def _session(wishes: verbs.Wishes, model: Path, name: str, rng: Random, progress
     fault = FAULTS[name]
     at = rng.uniform(0.5, 100 / wishes.speed)
     settings = changed(wishes.config, {"simulation": fault.settings(rng, at)})
-    saboteur = _Saboteur(fault, at)
+    saboteur = _Saboteur(fault, at, _length(settings.simulation), bool(settings.simulation.clock_jumps))
     wish = replace(wishes, config=settings, seed=rng.randrange(2**31), disturb=saboteur)
     is_calibration = "policy" not in name and rng.random() < 0.5
     ended = ""
@@ -198,6 +210,12 @@ def _session(wishes: verbs.Wishes, model: Path, name: str, rng: Random, progress
     except LinkLost as error:
         ended = str(error)
     return _judged(saboteur, ended)
+
+
+def _length(simulation: SimulationConfig) -> float:
+    """Real seconds for which the amplifier is away, or its clock off."""
+    times = (*simulation.drop_outs, *simulation.disconnects, *simulation.clock_jumps)
+    return times[0][1] if times else 0.0
 
 
 def _judged(saboteur: _Saboteur, ended: str) -> Outcome:
@@ -214,12 +232,15 @@ def _judged(saboteur: _Saboteur, ended: str) -> Outcome:
     lost = max(0, expected - len(recording.of(MoveOnset)))
     survived = bool(ended) if fault.ends_run and saboteur.acted else complete
     went_on, acted = saboteur.stage.supervisor.went_on_at, saboteur.acted
-    recovery = went_on - acted if acted is not None and went_on > acted else None
+    over = acted + saboteur.lasts if acted is not None else None
+    recovery = went_on - over if over is not None and went_on > over else None
     text = "; ".join([*replayed["differences"][:1], *([ended] if ended and not fault.ends_run else [])])
     if survived and not lost and not wrong:
         for file in path.parent.glob(f"{path.stem.removesuffix('_eeg')}_*"):
             shutil.rmtree(file) if file.is_dir() else file.unlink()
-    return Outcome(survived, lost, wrong, _whole_but_unjudged(recording), recovery, text)
+    # Stamps that left the clock find samples of another time, as whole as any.
+    unjudged = 0 if saboteur.is_clock_off else _whole_but_unjudged(recording)
+    return Outcome(survived, lost, wrong, unjudged, recovery, text)
 
 
 def _contradictions(recording: Recording, complete: bool) -> int:

@@ -144,8 +144,13 @@ def labelled(recording: Recording, config: Config) -> Labelled:
     judge = judge_without(config, recording.eeg, "", eyes.eyes)
     judge_of, sources_of = judges(judge, decisions), sources(recording, decisions, eyes)
     moves, valid, rows, by_eyes, error, reasons = [], [], [], [], [], Counter[str]()
+    # Stamps that left the clock find samples of another time; whatever came at the wrong time was repeated anyway.
+    untimely = {key: verdict.reason or "" for key, verdict in recording.verdicts.items() if verdict.by_time}
     for move, result in cut_moves(recording, judge.shape):
         moves.append(move)
+        if move.key in untimely:
+            reasons[untimely[move.key]] += 1
+            continue
         row = judge_of(move.key).features(result)
         if isinstance(row, Rejection):
             reasons[row.reason] += 1

@@ -11,7 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 PROTOCOL_VERSION: Literal[5] = 5
 """What we send. Older ones are still read, for calibrations are kept in them: 4 is the same without `Link`,
-`LateFrame`, `Screen` and `Belief`, 3 also without `Returned`, `Recall`, `Continued` and `Status.hears`, 2 also without `Electrodes`, 1 also without `Verdict.evidence`."""
+`LateFrame`, `Screen` and `Belief`, 3 also without `Returned`, `Recall`, `Continued` and `Status.hears`, 2 also without
+`Electrodes`, 1 also without `Verdict.evidence`."""
 
 Position = tuple[int, int]
 """(row, column), both from 0, row 0 in the north."""

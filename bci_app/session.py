@@ -18,6 +18,7 @@ from bci_app.config import Config
 from bci_app.crew import END_TIMEOUT_S, Crew
 from bci_app.errors import LinkLost, SetupError
 from bci_app.heard import Heard, Outcome
+from bci_app.links import Links
 from bci_app.lookout import Look, Lookout, Seen
 from bci_app.lsl import MessageInlet, describe, find_eeg, local_clock, session_clock
 from bci_app.peer import Peer
@@ -58,6 +59,8 @@ LEAD_S = 8.0
 REJECTED_IN_A_ROW = 10
 """Moves in a row without a valid epoch after which going on would only waste the participant's time (decided)."""
 ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+LINK_S = 1.0
+"""Real seconds between two messages on the same link."""
 TAIL_S = 1.5
 """Real seconds between the last message and closing the file: LabRecorder writes in batches of half a second."""
 Task = Literal["calibration", "online"]
@@ -177,6 +180,8 @@ class _Conductor:
         self.crew = Crew(plan.run.logs)
         self.inlets: dict[Role, MessageInlet] = {}
         self.heard = Heard(plan.roles)
+        self.links = Links(session, "session")
+        self.linked_at = 0.0
         self.recorder: Recorder | None = None
         self.sidecar: dict[str, Any] = {}
         self.follower = Follower(plan.run.xdf)
@@ -299,7 +304,9 @@ class _Conductor:
             self._check()
             self._look_ahead()
             what, done, total = self.heard.progress()
-            self.progress(f"{what}, {self.seen[-1].short}" if self.seen and self.seen[-1].short else what, done, total)
+            what += f", {self.seen[-1].short}" if self.seen and self.seen[-1].short else ""
+            what += f", silent: {' '.join(self.links.silent)}" if self.links.silent else ""
+            self.progress(what, done, total)
 
     def _is_over(self) -> bool:
         end = self.heard.end
@@ -315,8 +322,22 @@ class _Conductor:
     def _listen(self, timeout: float) -> None:
         for number, (role, inlet) in enumerate(self.inlets.items()):
             for item in self.peer.hear(inlet, timeout if number == len(self.inlets) - 1 else 0.0):
+                self.links.take(inlet.name, item.arrived)
                 self.supervisor.take(role, item)
                 self.heard.take(item.message)
+        self._tell_links(local_clock())
+
+    def _tell_links(self, now: float) -> None:
+        for sentence in self.links.changes(now):
+            self.peer.note("warning", sentence)
+        if now - self.linked_at < LINK_S:
+            return
+        self.linked_at = now
+        # Only of other machines: one of this is 0, and one whose process is gone can't be asked.
+        known = [inlet for role, inlet in self.inlets.items() if role in self.plan.remote]
+        offsets = {inlet.name: inlet.clock_correction() for inlet in known if inlet.name not in self.links.silent}
+        for link in self.links.told(now, offsets):
+            self.peer.push(link)
 
     def _look_ahead(self) -> None:
         """After each block of a calibration, tell what more would be worth; end it if that is little, and so wanted."""

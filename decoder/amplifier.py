@@ -140,6 +140,7 @@ class _Player:
         stamps = self._t0 + np.arange(self._played, self._played + n_new) / self._participant.sfreq
         self._played += n_new
         self._connect_or_not()
+        stamps += sum(by for begins, length, by in self._config.clock_jumps if self._is_within(((begins, length),)))
         if self._outlet is not None and not self._is_within(self._config.drop_outs) and not self._is_lost():
             self._outlet.push(samples, stamps)
 

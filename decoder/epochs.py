@@ -71,7 +71,8 @@ class Rejection:
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """A stretch of a stream over which time runs forward, or what is still buffered of it.
+    """A stretch of a stream over which time runs forward and is never missing for a second, or what is
+    still buffered of it.
 
     Attributes
     ----------
@@ -80,6 +81,7 @@ class Segment:
     latest : float64, (n_times,), running maximum of the segment's stamps: sorted even where stamps jitter.
     first_time : float, stamp of the segment's first sample, buffered or not.
     trimmed : whether the segment's beginning is no longer buffered.
+    follows : whether there was another before it.
     closed : whether no sample can follow any more.
     """
 
@@ -88,6 +90,7 @@ class Segment:
     latest: Array
     first_time: float
     trimmed: bool
+    follows: bool
     closed: bool
 
 
@@ -99,8 +102,10 @@ def locate(segments: Sequence[Segment], onset: float, shape: Shape) -> Epoch | R
     for segment in segments:
         if segment.first_time < onset <= segment.latest[-1]:
             return _cut(segment, onset, shape)
+    # What runs on here may still come back, for clocks are set: a replay knows of that, and then finds an epoch.
     if segments and onset <= segments[-1].first_time:
-        return Rejection(f"the EEG begins {segments[-1].first_time - onset:.3f} s after the onset", by_time=True)
+        begins = "gap: the EEG goes on" if segments[-1].follows else "the EEG begins"
+        return Rejection(f"{begins} {segments[-1].first_time - onset:.3f} s after the onset", by_time=True)
     return None
 
 
@@ -121,7 +126,7 @@ def cut_one_by_one(
     """
     edges = [0, *segment_starts(times).tolist(), len(times)]
     segments = [
-        Segment(samples[a:b], times[a:b], np.maximum.accumulate(times[a:b]), float(times[a]), False, True)
+        Segment(samples[a:b], times[a:b], np.maximum.accumulate(times[a:b]), float(times[a]), False, a > 0, True)
         for a, b in pairwise(edges)
         if b > a
     ]
@@ -159,10 +164,12 @@ def _outside(segment: Segment, stretch: slice, onset: float) -> Rejection | None
     missing = max(0, -stretch.start)
     if missing and segment.trimmed:
         return Rejection(f"the onset came too late: {missing} of its samples are no longer buffered", by_time=True)
+    if missing and segment.follows:
+        return Rejection(f"gap: the EEG goes on only {onset - segment.first_time:.3f} s before the onset")
     if missing:
         return Rejection(f"the EEG begins only {onset - segment.first_time:.3f} s before the onset", by_time=True)
     if stretch.stop > len(segment.times) and segment.closed:
-        return Rejection(f"the EEG ends or its time runs backwards {segment.latest[-1] - onset:.3f} s after the onset")
+        return Rejection(f"gap: the EEG ends, or its time jumps, {segment.latest[-1] - onset:.3f} s after the onset")
     return None
 
 
@@ -199,6 +206,7 @@ class EpochBuffer(Generic[Key]):
         self._latest = np.empty(2 * self._capacity)
         self._end = 0  # of the filled rows
         self._starts: list[tuple[int, float]] = []  # row and first stamp of each segment; negative rows are gone
+        self._n_starts = 0  # segments there have been
         self._waiting: dict[Key, float] = {}
         self._known: set[Key] = set()
         self._finished: list[tuple[Key, Epoch | Rejection]] = []
@@ -261,6 +269,7 @@ class EpochBuffer(Generic[Key]):
         previous = self._times[self._end - 1] if self._end else np.inf  # the very first sample starts a segment
         for row in (self._end + segment_starts(self._times[new], previous)).tolist():
             self._starts.append((row, float(self._times[row])))
+            self._n_starts += 1
         self._end += n_new
         self._update_latest(new)
 
@@ -284,13 +293,13 @@ class EpochBuffer(Generic[Key]):
     def _segments(self) -> list[Segment]:
         """The buffered parts, oldest first; exactly the trailing capacity, whatever else is in memory."""
         kept = max(0, self._end - self._capacity)
-        segments = []
+        segments, n_gone = [], self._n_starts - len(self._starts)
         for i, (row, first_time) in enumerate(self._starts):
             closed = i + 1 < len(self._starts)
             rows = slice(max(row, kept), self._starts[i + 1][0] if closed else self._end)
             if rows.start < rows.stop:
                 views = self._samples[rows], self._times[rows], self._latest[rows]
-                segments.append(Segment(*views, first_time, row < kept, closed))
+                segments.append(Segment(*views, first_time, row < kept, n_gone + i > 0, closed))
         return segments
 
     def _settle(self) -> None:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from bci_app.clock import Clock
 from bci_app.config import Config
-from bci_app.errors import LinkLost, SetupError
+from bci_app.errors import SetupError
 from bci_app.lsl import EegInfo, EegInlet, MessageInlet, NoStream, find_eeg, local_clock
 from bci_app.peer import Peer
 from bci_app.protocol import (
@@ -16,6 +16,7 @@ from bci_app.protocol import (
     Continued,
     Electrodes,
     EpisodeStart,
+    Link,
     MoveOnset,
     Recall,
     SessionEnd,
@@ -28,20 +29,16 @@ from decoder.drift import DriftWatch
 from decoder.electrodes import RECORDED_S, Examiner, changes
 from decoder.epochs import EpochBuffer, Rejection
 from decoder.judge import Judge, MoveKey, judge_with, judge_without
-from decoder.timeline import MAX_JITTER, check_rate, measured_rate
+from decoder.reception import LINK_S, Reception
+from decoder.timeline import MAX_JITTER, check_rate
 
 POLL_S = 0.005
 """Longest real time a round waits for a sample before it looks for onsets again."""
-SILENCE_S = 1.0
-"""Real seconds without a sample after which the EEG is said to be silent (decided)."""
 PATIENCE_S = 4.0
 """Real seconds of silence after which moves that wait for samples are rejected: what comes late is not lost, but the
 policy waits no longer than 5 s for a verdict (decided)."""
 REJECTED_BEFORE_A_LOOK = 2
 """Verdicts rejected in a row after which the electrodes are looked at again within an episode (decided)."""
-ROUND_S = 0.25
-"""Real seconds a round counts as listening, at most: a process that was stopped, or starved, has heard nothing, but
-what came meanwhile is still to be pulled (decided: rounds take 5 ms)."""
 FIND_S = 20.0
 """Real seconds an EEG stream may take to be found (decided)."""
 LOST_S = 10.0
@@ -55,8 +52,6 @@ LOOK_S = 3.0
 """Session seconds of EEG looked at before the decoder calls itself ready."""
 CHECK_S = 1.0
 """Real seconds to ask a stream that came back what it is."""
-RATE_S = 10.0
-"""Session seconds over which the rate is measured again and again."""
 
 
 def run(
@@ -123,20 +118,19 @@ class _Server:
         self._judges: dict[MoveKey, Judge] = {}
         self._buffer: EpochBuffer[MoveKey] = EpochBuffer(judge.shape, n_channels, config.eeg.buffer_s)
         self._offsets: dict[MoveKey, float] = {}
-        self._listened = local_clock()
-        self._quiet_s = 0.0  # listened to without a sample
-        self._silent = False
-        self._whole_since = self._newest = np.inf  # stamps: from the one to the other no sample is missing
-        self._is_short = False  # of EEG before the next move: the stimulus should wait
-        self._is_unchecked = False  # since it came back
-        self._rate_times = np.empty(0)
-        self._rate_is_off = False
+        description, settings = eeg.description, config.eeg
+        # The rest of an epoch's samples come until its next move.
+        until_move = config.stimulus.rest_s + config.stimulus.countdown_s
+        lead_s = max(0.0, judge.shape.n_before / judge.shape.sfreq - until_move) + MAX_JITTER
+        speed, tolerance, patience_s = peer.clock.speed, settings.rate_tolerance, settings.patience_s
+        self._reception = Reception(description.name, description.sfreq, speed, lead_s, tolerance, patience_s)
+        self._linked_at = self._eeg_offset = 0.0
 
     def look(self, patience: float) -> None:
         """Take a few seconds of EEG to see that it is alive, on LSL's clock and at its rate."""
         description = self._eeg.description
         stamps = [np.empty(0)]
-        alive = False
+        alive, heard_at = False, local_clock()
         # Also so long that the very first move can have its epoch.
         wanted = max(LOOK_S * description.sfreq, self._judge.shape.n_before)
         while sum(map(len, stamps)) < wanted:
@@ -145,7 +139,8 @@ class _Server:
             self._buffer.push(samples, times)
             stamps.append(times)
             alive |= len(samples) > 0 and bool((samples != samples[:1]).any())
-            if self._quiet(len(times)) > patience:
+            heard_at = local_clock() if len(times) else heard_at
+            if local_clock() - heard_at > patience:
                 raise SetupError(
                     f"Stream '{description.name}' is there but delivers no samples. Start the amplifier's acquisition."
                 )
@@ -206,14 +201,15 @@ class _Server:
 
         ended, ended_at = False, 0.0
         while not ended or self._buffer.n_waiting:
-            if self._is_short:
-                self._peer.say("waiting", f"for EEG from '{self._eeg.description.name}'")
+            lacks = self._reception.lacks
+            if lacks is not None:
+                self._peer.say("waiting", lacks)
             else:
                 self._peer.say("ready", f"{self._buffer.n_waiting} epochs open")
             samples, times = self._eeg.pull(POLL_S)
             arrived = local_clock()
-            self._check_silence(times)
             self._buffer.push(samples, times)
+            self._follow(times)
             for item in self._peer.hear(stimulus):
                 match item.message:
                     case MoveOnset() as move:
@@ -231,7 +227,6 @@ class _Server:
             if ended and arrived - ended_at > LOST_S:
                 self._buffer.abandon("its samples never came")
             self._answer(arrived)
-            self._check_rate(times)
 
     def _examine(self, key: MoveKey) -> None:
         """Decide which electrodes are bad; the moves from this one on are judged without them."""
@@ -290,58 +285,33 @@ class _Server:
             self._peer.note("warning", drift.sentence)
             self._watch = None
 
-    def _quiet(self, n_new: int) -> float:
-        """Real seconds listened to without a sample, after a round that brought `n_new`."""
-        now = local_clock()
-        self._quiet_s = 0.0 if n_new else self._quiet_s + min(now - self._listened, ROUND_S)
-        self._listened = now
-        return self._quiet_s
-
-    def _check_silence(self, times: NDArray[np.float64]) -> None:
-        before, quiet = self._quiet_s, self._quiet(len(times))
-        self._look_for_gap(times)
-        if len(times) and self._silent:
-            self._silent = False
-            self._peer.note("info", f"The EEG is back after {before:.1f} s.")
-            self._is_unchecked = True
-        elif not self._silent and quiet > SILENCE_S:
-            self._silent = self._is_short = True
-            self._peer.note("error", f"No EEG sample for {SILENCE_S:g} s.")
-        elif self._is_short and not self._silent and self._newest - self._whole_since >= self._lead_s():
-            # LSL has reconnected to whatever has the source id; where it can't be asked, it is asked again.
-            self._is_unchecked &= not self._eeg.is_unchanged(CHECK_S)
-            self._is_short = self._is_unchecked
-        if quiet > PATIENCE_S:
+    def _follow(self, times: NDArray[np.float64]) -> None:
+        """Tell how the EEG comes in; moves that wait for samples which won't come, or not where they belong, are
+        rejected."""
+        now, reception = local_clock(), self._reception
+        is_due = now - self._linked_at >= LINK_S
+        if is_due and reception.lacks is None:  # one that is away can't be asked
+            self._eeg_offset = self._eeg.clock_correction()
+        for level, text in reception.take(times, now, self._peer.clock.to_session(now - self._eeg_offset)):
+            self._peer.note(level, text)
+        # LSL has reconnected to whatever has the source id; where it can't be asked, it is asked again.
+        if reception.is_to_be_asked and self._eeg.is_unchanged(CHECK_S):
+            reception.is_what_it_was()
+        if reception.moved_s:
+            self._buffer.abandon("the EEG's time stamps have moved against the clock")
+        elif reception.quiet_s > PATIENCE_S:
             self._buffer.abandon("the EEG stream is silent")
-        if quiet > self._config.eeg.patience_s:
-            raise LinkLost(f"No EEG sample for {quiet:.0f} s. Look at the amplifier; what was recorded is kept.")
-
-    def _look_for_gap(self, times: NDArray[np.float64]) -> None:
-        """Keep in mind since when no sample is missing."""
-        if not len(times):
-            return
-        steps = np.diff(times, prepend=self._newest if np.isfinite(self._newest) else times[0])
-        breaks = np.flatnonzero((steps > 2 * MAX_JITTER) | (steps < -MAX_JITTER))
-        if len(breaks) or not np.isfinite(self._whole_since):
-            self._whole_since = float(times[breaks[-1] if len(breaks) else 0])
-        self._newest = float(times[-1])
-
-    def _lead_s(self) -> float:
-        """Session seconds of EEG that must be there when the stimulus goes on: the rest of an epoch's comes until its
-        next move."""
-        until_move = self._config.stimulus.rest_s + self._config.stimulus.countdown_s
-        return max(0.0, self._judge.shape.n_before / self._judge.shape.sfreq - until_move) + MAX_JITTER
-
-    def _check_rate(self, times: NDArray[np.float64]) -> None:
-        self._rate_times = np.concatenate((self._rate_times, times))
-        sfreq = self._eeg.description.sfreq
-        if len(self._rate_times) < RATE_S * sfreq:
-            return
-        rate, self._rate_times = measured_rate(self._rate_times, sfreq), np.empty(0)
-        is_off = not abs(rate / sfreq - 1) <= self._config.eeg.rate_tolerance
-        sentence = f"Stream '{self._eeg.description.name}' drifted from {sfreq:g} Hz to {rate:.1f} Hz."
-        if is_off and self._rate_is_off:
-            raise SetupError(f"{sentence} Check the amplifier's rate and connection; what was recorded is kept.")
-        if is_off:
-            self._peer.note("error", sentence)
-        self._rate_is_off = is_off
+        if is_due:
+            self._linked_at = now
+            self._peer.push(
+                Link(
+                    session=self._peer.session,
+                    role="decoder",
+                    stream=self._eeg.description.name,
+                    age_s=reception.quiet_s,
+                    rate_hz=reception.rate_hz,
+                    gaps=reception.n_gaps,
+                    offset_s=self._eeg_offset,
+                    reconnects=reception.n_reconnects,
+                )
+            )

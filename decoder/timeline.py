@@ -60,18 +60,18 @@ def check_rate(times: Array, sfreq: float, name: str, tolerance: float) -> float
 
 
 def segment_starts(times: Array, previous: float = -np.inf) -> NDArray[np.int64]:
-    """Indices at which time runs backwards by more than jitter, so that a new segment starts.
+    """Indices at which a new segment starts: time runs backwards by more than jitter, or on by more than `GAP_S`.
 
-    `previous` is the stamp before the first.
+    `previous` is the stamp before the first; one that is later than any makes the first sample start a segment.
     """
     before = np.concatenate(([previous], times[:-1]))
-    return np.flatnonzero(times < before - MAX_JITTER)
+    steps = times - np.where(np.isfinite(before), before, np.where(before > 0, times + 1, times))
+    return np.flatnonzero((steps < -MAX_JITTER) | (steps > GAP_S))
 
 
 def piece_edges(times: Array) -> NDArray[np.int64]:
     """Where pieces begin over which time runs forward and is never missing for `GAP_S`, and the end."""
-    apart = np.flatnonzero(np.diff(times) > GAP_S) + 1
-    return np.unique(np.concatenate(([0, len(times)], apart, segment_starts(times)))).astype(np.int64)
+    return np.unique(np.concatenate(([0, len(times)], segment_starts(times)))).astype(np.int64)
 
 
 def offset_of_line(times: Array, sfreq: float, origin: int) -> float:

@@ -1,0 +1,130 @@
+"""How samples come in: silence, gaps, the rate, and stamps that leave the clock. No LSL: rounds are handed in."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bci_app.errors import LinkLost, SetupError
+from decoder.reception import DELAY_S, MOVED_S, SILENCE_S, Reception
+
+SFREQ, ROUND_S = 250.0, 0.02
+
+
+def made(speed: float = 1.0, lead_s: float = 2.0) -> Reception:
+    return Reception("Amp", SFREQ, speed, lead_s, tolerance=0.01, patience_s=60.0)
+
+
+def rounds(began: float, seconds: float, off: float = 0.0, late: float = 0.04) -> Iterator[tuple[np.ndarray, float]]:
+    """(stamps, time at which they come) of an amplifier at speed 1 whose stamps are off by so much."""
+    n = round(ROUND_S * SFREQ)
+    for number in range(round(seconds / ROUND_S)):
+        first = began + number * ROUND_S
+        yield first + np.arange(n) / SFREQ + off, first + ROUND_S + late
+
+
+def play(reception: Reception, began: float, seconds: float, off: float = 0.0, late: float = 0.04) -> list[str]:
+    remarks = []
+    for stamps, now in rounds(began, seconds, off, late):
+        remarks += [text for _, text in reception.take(stamps, now, now)]
+    return remarks
+
+
+def silence(reception: Reception, began: float, seconds: float) -> list[str]:
+    remarks = []
+    for number in range(round(seconds / ROUND_S)):
+        now = began + number * ROUND_S
+        remarks += [text for _, text in reception.take(np.empty(0), now, now)]
+    return remarks
+
+
+def test_silence_is_told_within_a_second_and_ends_only_with_enough_eeg() -> None:
+    reception = made()
+    assert play(reception, 0.0, 5.0) == []
+    assert reception.lacks is None
+    assert silence(reception, 5.1, SILENCE_S + 0.1) == ["No EEG sample for 1 s."]
+    assert reception.lacks == "for EEG from 'Amp'"
+    assert "back after 1." in play(reception, 7.0, 1.0)[0]
+    assert reception.lacks is not None  # the next move's epoch reaches back further
+    play(reception, 8.0, 1.2)
+    assert reception.is_to_be_asked
+    assert reception.lacks is not None  # it may be another amplifier
+    reception.is_what_it_was()
+    play(reception, 9.2, 0.1)
+    assert reception.lacks is None
+    assert (reception.n_gaps, reception.n_reconnects) == (1, 1)
+
+
+def test_silence_beyond_patience_ends_the_run() -> None:
+    reception = made()
+    play(reception, 0.0, 3.0)
+    with pytest.raises(LinkLost, match="Look at the amplifier"):
+        silence(reception, 3.0, 62.0)
+
+
+def test_a_process_that_was_stopped_has_heard_no_silence() -> None:
+    reception = made()
+    play(reception, 0.0, 3.0)
+    assert reception.take(np.empty(0), 60.0, 60.0) == []
+    assert reception.lacks is None
+
+
+@given(off=st.one_of(st.floats(0.2, 300_000.0), st.floats(-300_000.0, -0.2)))
+def test_stamps_that_leave_the_clock_are_told_and_waited_for(off: float) -> None:
+    reception = made()
+    play(reception, 0.0, 5.0)
+    (told,) = play(reception, 5.0, DELAY_S + 1.0, off)
+    assert "time stamps have moved" in told
+    assert reception.moved_s == pytest.approx(-off, rel=1e-6, abs=1e-3)
+    assert reception.lacks == "for the time stamps of 'Amp' to come right"
+    assert play(reception, 8.0, 4.0) == ["The EEG's time stamps are right again."]
+    assert reception.lacks is None
+
+
+@given(late=st.floats(0.0, 0.9 * MOVED_S))
+def test_samples_that_come_a_little_later_are_no_matter(late: float) -> None:
+    reception = made()
+    play(reception, 0.0, 5.0)
+    assert play(reception, 5.0, 5.0, late=0.04 + late) == []
+    assert reception.lacks is None
+
+
+def test_a_clock_that_drifts_is_told_before_an_epoch_is_far_beside_its_move() -> None:
+    """100 ppm off; told when stamps are a tenth of a second beside the clock."""
+    reception, told, drift = made(), [], 100e-6
+    for number in range(200):
+        for stamps, now in rounds(number * 10.0, 2.2):
+            told += [text for _, text in reception.take(stamps * (1 - drift), now, now)]
+        reception.take(np.empty(0), number * 10.0 + 9.9, 0.0)
+        if told:
+            break
+    assert "time stamps have moved" in told[0]
+    assert abs(reception.moved_s) < 1.2 * MOVED_S
+
+
+@pytest.mark.parametrize("speed", [1.0, 20.0])
+def test_the_rate_lately_is_that_of_the_session(speed: float) -> None:
+    reception = made(speed)
+    n = round(ROUND_S * speed * SFREQ)
+    for number in range(200):
+        now = number * ROUND_S
+        reception.take((number * n + np.arange(n)) / SFREQ, now, now * speed)
+    assert reception.rate_hz == pytest.approx(SFREQ, rel=0.05)
+
+
+def test_a_wrong_rate_is_told_once_and_then_ends_the_run() -> None:
+    reception = made()
+    play(reception, 0.0, 3.0)
+    times = 3.0 + np.arange(40 * 200) / 200.0  # 200 Hz instead of 250
+
+    def go_on(n: int) -> list[str]:
+        remarks = []
+        for chunk in times[:n].reshape(-1, 4):
+            remarks += [text for _, text in reception.take(chunk, chunk[-1] + 0.04, chunk[-1] + 0.04)]
+        return remarks
+
+    assert "drifted from 250 Hz to 200.0 Hz" in go_on(3000)[0]
+    with pytest.raises(SetupError, match="Check the amplifier's rate"):
+        go_on(len(times))
