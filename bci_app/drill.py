@@ -25,6 +25,7 @@ from bci_app.lsl import local_clock
 from bci_app.moves import cut_moves
 from bci_app.progress import Progress, named
 from bci_app.protocol import Action, EpisodeStart, MoveOnset, Role, SessionStart
+from bci_app.recorder import Recorder
 from bci_app.recording import Recording, read
 from bci_app.session import Stage
 
@@ -37,6 +38,8 @@ SHORT: dict[str, Any] = {
 """A session of a drill: some 40 moves, with an electrode that must be repaired."""
 DROP_OUT_S = (0.1, 30.0)
 """Shortest and longest real seconds for which an amplifier drops out, even in their logarithm."""
+EARLY, EARLY_S = 0.1, 8.0
+"""Share of deaths before the first move, and real seconds of them: processes take five to be ready (decided)."""
 JUMP_S = (10.0, 200_000.0)
 """Smallest and largest session seconds by which a clock jumps, even in their logarithm."""
 RECORDED_S = 1.0
@@ -52,19 +55,26 @@ class Fault:
     act : what is done then; None where the simulated amplifier does it by itself.
     settings : of that amplifier, from a generator of chance and the moment.
     ends_run : whether the run can't go on.
+    may_be_early : whether it may strike before the first move.
     """
 
     act: Callable[[Stage], None] | None = None
     settings: Callable[[Random, float], dict[str, Any]] = lambda _rng, _at: {}
     ends_run: bool = False
+    may_be_early: bool = False
 
 
 def _kill(role: Role) -> Fault:
-    return Fault(lambda stage: stage.crew.kill(role))
+    return Fault(lambda stage: stage.crew.kill(role), may_be_early=True)
 
 
 def _hang(role: Role) -> Fault:
     return Fault(lambda stage: stage.crew.stop(role))
+
+
+def _recorder(stage: Stage) -> Recorder:
+    assert stage.recorder is not None, "strikes only once the run has begun"
+    return stage.recorder
 
 
 def _gone(rng: Random) -> float:
@@ -90,8 +100,8 @@ FAULTS: dict[str, Fault] = {
     "amplifier's clock jumps": Fault(settings=lambda rng, at: {"clock_jumps": [[at, _gone(rng), _jump(rng)]]}),
     "1 % of packets lost": Fault(settings=lambda _rng, _at: {"packet_loss": 0.01}),
     "5 % of packets lost": Fault(settings=lambda _rng, _at: {"packet_loss": 0.05}),
-    "recorder killed": Fault(lambda stage: stage.recorder.kill(), ends_run=True),
-    "recorder hangs": Fault(lambda stage: stage.recorder.hang(), ends_run=True),
+    "recorder killed": Fault(lambda stage: _recorder(stage).kill(), ends_run=True),
+    "recorder hangs": Fault(lambda stage: _recorder(stage).hang(), ends_run=True),
 }
 
 
@@ -101,7 +111,7 @@ class _Saboteur:
 
     fault: Fault
     at: float
-    """Real seconds after the run's first message."""
+    """Real seconds after the run's first message; below 0 after the processes were started."""
     lasts: float = 0.0
     """Real seconds until what was lost is there again by itself."""
     is_clock_off: bool = False
@@ -109,19 +119,26 @@ class _Saboteur:
     acted: float | None = None
     stage: Stage | None = None
     """The run; None until it is recorded."""
+    _arrived: float | None = None
     _known: list[tuple[float, int]] = field(default_factory=list)  # how many moves were heard of, by real time
 
     def __call__(self, stage: Stage) -> None:
         now = local_clock()
-        self.stage = stage
+        self.stage = stage if stage.recorder is not None else None
+        self._arrived = self._arrived or now
+        if self.at < 0 and self.acted is None and now - self._arrived >= -self.at:
+            self._act(stage, now)
         if stage.heard.start is None or stage.heard.end is not None:
             return
         self.began = self.began or now
         self._known.append((now, stage.heard.moves))
         if self.acted is None and now - self.began >= self.at:
-            self.acted = now
-            if self.fault.act is not None:
-                self.fault.act(stage)
+            self._act(stage, now)
+
+    def _act(self, stage: Stage, now: float) -> None:
+        self.acted = now
+        if self.fault.act is not None:
+            self.fault.act(stage)
 
     def n_moves_before(self) -> int:
         """Moves heard of so long before the fault that they must have been recorded."""
@@ -197,6 +214,8 @@ def _decoder(wishes: verbs.Wishes, progress: Progress) -> Path:
 def _session(wishes: verbs.Wishes, model: Path, name: str, rng: Random, progress: Progress) -> Outcome:
     fault = FAULTS[name]
     at = rng.uniform(0.5, 100 / wishes.speed)
+    if fault.may_be_early and rng.random() < EARLY:
+        at = -rng.uniform(0, EARLY_S)
     settings = changed(wishes.config, {"simulation": fault.settings(rng, at)})
     saboteur = _Saboteur(fault, at, _length(settings.simulation), bool(settings.simulation.clock_jumps))
     wish = replace(wishes, config=settings, seed=rng.randrange(2**31), disturb=saboteur)
@@ -221,7 +240,7 @@ def _length(simulation: SimulationConfig) -> float:
 def _judged(saboteur: _Saboteur, ended: str) -> Outcome:
     if saboteur.stage is None:
         return Outcome(False, 0, 0, 0, None, f"The session never began: {ended}")
-    fault, heard, path = saboteur.fault, saboteur.stage.heard, saboteur.stage.recorder.path
+    fault, heard, path = saboteur.fault, saboteur.stage.heard, _recorder(saboteur.stage).path
     recording = read(path, allow_damage=True)
     complete = heard.end is not None and heard.end.reason == "complete" and not ended
     replayed = replaying.replay(path, None, None, True, lambda *_: None)
@@ -232,7 +251,7 @@ def _judged(saboteur: _Saboteur, ended: str) -> Outcome:
     lost = max(0, expected - len(recording.of(MoveOnset)))
     survived = bool(ended) if fault.ends_run and saboteur.acted else complete
     went_on, acted = saboteur.stage.supervisor.went_on_at, saboteur.acted
-    over = acted + saboteur.lasts if acted is not None else None
+    over = acted + saboteur.lasts if acted is not None and saboteur.at >= 0 else None
     recovery = went_on - over if over is not None and went_on > over else None
     text = "; ".join([*replayed["differences"][:1], *([ended] if ended and not fault.ends_run else [])])
     if survived and not lost and not wrong:

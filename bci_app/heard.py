@@ -41,6 +41,7 @@ class Outcome:
     moves, actions : how many were heard of.
     verdicts : how many of each outcome.
     notes : warnings and errors of all processes, in words.
+    verified : what the check of the closed recording found, in a sentence; empty where there is none.
     outlook : after each block of a calibration, what it was worth so far and what more would be.
     """
 
@@ -51,6 +52,7 @@ class Outcome:
     verdicts: dict[str, int]
     actions: int
     notes: tuple[str, ...]
+    verified: str
     outlook: tuple[str, ...]
 
 
@@ -188,7 +190,7 @@ class Heard:
                 lost.append(f"{len(missing)} of {len(keys)} {name} are not in it.")
         return [*lost, *recording.damage]
 
-    def outcome(self, recording: Path, outlook: tuple[str, ...] = ()) -> Outcome:
+    def outcome(self, recording: Path, verified: str = "", outlook: tuple[str, ...] = ()) -> Outcome:
         """How it went, once it is over."""
         end = self.end
         told = (end.reason, end.text) if end else ("failed", "The stimulus never said that it ended.")
@@ -201,5 +203,6 @@ class Heard:
             verdicts=dict(self.verdicts),
             actions=len(self._actions),
             notes=tuple(self.notes),
+            verified=verified,
             outlook=outlook,
         )

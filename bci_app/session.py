@@ -111,10 +111,10 @@ class Plan:
 
 @dataclass(frozen=True)
 class Stage:
-    """What a drill may lay hands on."""
+    """What a drill may lay hands on; there is no recorder before all processes are ready."""
 
     crew: Crew
-    recorder: Recorder
+    recorder: Recorder | None
     heard: Heard
     supervisor: Supervisor
 
@@ -195,6 +195,7 @@ class _Conductor:
         self.lookout = Lookout(plan.look, [*before, plan.run.xdf], config) if plan.look else None
         self.blocks = 0
         self.seen: list[Seen] = []
+        self.verified = ""
         self.missing: list[str] = []
         """What was heard and is not in the file, in sentences; known once it is closed."""
 
@@ -219,7 +220,11 @@ class _Conductor:
         self._await(self.heard.all_ready, lambda: None, "processes to be ready")
         self._record()
         lead_until = self.clock.now() + max(LEAD_CYCLES / self.config.chain.low_hz, LEAD_S)
-        self._await(lambda: self.clock.now() > lead_until, lambda: None, "EEG before the first move")
+        self._await(
+            lambda: self.clock.now() > lead_until and self.supervisor.may_begin,
+            self.follower.look,
+            "EEG before the first move",
+        )
 
     def _arguments(self, role: Role) -> list[str]:
         path = self.plan.run.logs / "config.json"
@@ -257,7 +262,8 @@ class _Conductor:
             self.peer.say("waiting", f"for {what}")
             act()
             self._listen(timeout=0.02)
-            self.crew.check()
+            self._disturb()
+            self.supervisor.mend()
             if local_clock() - started > timeout:
                 raise LinkLost(
                     f"Waited {timeout:g} s in vain for {what}: {self.heard.whereabouts()} "
@@ -294,12 +300,11 @@ class _Conductor:
     def watch(self) -> None:
         """Tell the stimulus to begin, then follow until its last message; start again what dies."""
         while not self._is_over():
-            if self.heard.start is None:
+            if self.heard.start is None and self.supervisor.may_begin:
                 self.peer.push(Command(session=self.session, command="start"))
             self.peer.say("running")
             self._listen(timeout=0.05)
-            if self.plan.disturb is not None and self.recorder is not None:
-                self.plan.disturb(Stage(self.crew, self.recorder, self.heard, self.supervisor))
+            self._disturb()
             self.supervisor.tend()
             self._check()
             self._look_ahead()
@@ -307,6 +312,10 @@ class _Conductor:
             what += f", {self.seen[-1].short}" if self.seen and self.seen[-1].short else ""
             what += f", silent: {' '.join(self.links.silent)}" if self.links.silent else ""
             self.progress(what, done, total)
+
+    def _disturb(self) -> None:
+        if self.plan.disturb is not None:
+            self.plan.disturb(Stage(self.crew, self.recorder, self.heard, self.supervisor))
 
     def _is_over(self) -> bool:
         end = self.heard.end
@@ -429,23 +438,35 @@ class _Conductor:
 
     def _closing(self) -> dict[str, Any]:
         path = self.plan.run.xdf
+        if path.exists():
+            self.progress("checking the recording", 0, 1)
+            self.verified = self._verify(path)
         told = asdict(self.outcome(), dict_factory=_plain) | {"state": "closed"}
         if not path.exists():
             return told
-        self.progress("checking the recording", 0, 1)
+        return told | {"sha256": checksum(path), "bytes": path.stat().st_size, "missing": self.missing}
+
+    def _verify(self, path: Path) -> str:
+        """Read the closed recording back and compare it with what was heard; the finding in a sentence."""
         try:
-            self.missing = self.heard.missing_in(read(path, True, self.config.eeg.stream_type))
+            recording = read(path, True, self.config.eeg.stream_type)
+            self.missing = self.heard.missing_in(recording)
         except SetupError as error:
             self.missing = [str(error)]
         try:
             write_sums(path)
         except SetupError as error:
             self.missing.append(str(error))
-        return told | {"sha256": checksum(path), "bytes": path.stat().st_size, "missing": self.missing}
+        if self.missing:
+            return f"The recording isn't what was heard: {' '.join(self.missing)}"
+        return (
+            f"Read back: {self.heard.moves} moves, {self.heard.verdicts.total()} verdicts, {len(recording.times)} EEG "
+            f"samples; nothing that was heard is missing. SHA-256 {checksum(path)}."
+        )
 
     def outcome(self) -> Outcome:
         """How the run went, by what was heard."""
-        return self.heard.outcome(self.plan.run.xdf, tuple(seen.sentence for seen in self.seen))
+        return self.heard.outcome(self.plan.run.xdf, self.verified, tuple(seen.sentence for seen in self.seen))
 
     def _save_sidecar(self, **news: Any) -> None:
         """The sidecar is there from the start, so that even a run that dies tells what it was."""

@@ -36,6 +36,9 @@ EEG_PAUSE_S = 1.2
 """Real seconds without EEG in the file that are no accident of its writing, every half second (decided)."""
 DEAF_S = 4.0
 """Real seconds by which what a process hears may be older than what bci-app hears: LSL reconnects in two (decided)."""
+SETTLE_S = 4.0
+"""Real seconds after a process was started again before the first message until the run begins: the recorder reconnects
+to streams on which nothing is said yet in two (decided)."""
 AGAIN_S = 0.5
 """Real seconds after which a command that had no effect yet is said again."""
 
@@ -79,6 +82,7 @@ class Supervisor:
         self._returned: dict[Role, float] = {}  # stamps at which processes asked what they had missed
         self._awaited: dict[str, int] = {}  # by source id: chunks that must be in the file; -1 where not known yet
         self._commanded_at = 0.0
+        self._mended_at = float("-inf")
         self._is_waited_for = False
         self.waits_for: str | None = None
         """Why the stimulus must wait, in a sentence; None while it needn't."""
@@ -121,13 +125,36 @@ class Supervisor:
         if now - self._eeg_since > self._lead_s:
             self._is_eeg_short = False
 
+    def mend(self) -> None:
+        """Before the run's first message: start again what dies; there is nothing to tell it. Raises as `tend` does.
+
+        Who is silent here may be loading.
+        """
+        now = local_clock()
+        for role, how in self._crew.check(may_be_mended=not self._remote).items():
+            self._start_again(role, how, now)
+        if self.eeg_source:
+            self._follow_eeg(now)
+            self._follow_messages()
+
+    @property
+    def may_begin(self) -> bool:
+        """Whether all are ready, and what they say is recorded, some time after the last was started again."""
+        is_settled = local_clock() - self._mended_at > SETTLE_S
+        return (
+            is_settled
+            and self._heard.all_ready()
+            and not self._wellness.troubles(has_begun=False)
+            and not self._unrecorded()
+        )
+
     def _failures(self, now: float) -> dict[Role, str]:
         """Processes that have died, or hang and have been ended, and how."""
         # What was said when is told by stamps, and those of several computers can't be compared.
-        has_begun = self._heard.start is not None and not self._remote
-        failed = self._crew.check(may_be_mended=has_begun)
+        may_be_mended = not self._remote
+        failed = self._crew.check(may_be_mended)
         for role in self._wellness.hanging(now):
-            if not has_begun:
+            if not may_be_mended:
                 raise LinkLost(f"No word from the {role} process for {HANGS_S:g} s: it hangs or is cut off.")
             if role not in failed and role not in self._crew.ended():
                 self._crew.kill(role)
@@ -140,8 +167,13 @@ class Supervisor:
         self._note("error", f"{how} It is started again.")
         self._heard.forget(role)
         self._returned.pop(role, None)
-        self._awaited |= {spec.source_id(self._peer.session): -1 for spec in STREAMS if spec.role == role}
-        self._crew.start(role, [*self._arguments(role), *(["--returning"] if role != "amplifier" else [])])
+        has_begun, self._mended_at = self._heard.start is not None, now
+        if self.eeg_source:
+            # Before the first message nothing is said but on the streams of events.
+            specs = [spec for spec in STREAMS if spec.role == role and (has_begun or spec.kind == "Events")]
+            self._awaited |= {spec.source_id(self._peer.session): -1 for spec in specs}
+        is_returning = has_begun and role != "amplifier"
+        self._crew.start(role, [*self._arguments(role), *(["--returning"] if is_returning else [])])
 
     def _answer(self) -> None:
         """Tell those who have returned what they missed, once all that was said before they were connected is here.

@@ -127,8 +127,9 @@ class Wellness:
             ]
         return found
 
-    def troubles(self) -> list[str]:
-        """Why the stimulus must wait, in sentences; none where all is well."""
+    def troubles(self, has_begun: bool = True) -> list[str]:
+        """Why the stimulus must wait, in sentences; none where all is well. Before the run has begun nobody can know
+        who hears the truth, for it isn't told yet."""
         found = []
         for role in self.roles:
             status = self._known[role].status
@@ -137,16 +138,18 @@ class Wellness:
             elif role != "stimulus" and status.state not in ("ready", "running", "done"):
                 found.append(f"The {role} waits {status.text}.")
             else:
-                found += [f"The {role} doesn't hear {name} yet." for name in self._unheard(role, status)]
+                found += [f"The {role} doesn't hear {name} yet." for name in self._unheard(role, status, has_begun)]
         return found
 
     def _listens(self, role: Role) -> tuple[StreamSpec, ...]:
         return (VERDICTS,) if role == "stimulus" and self.is_calibration else LISTENS.get(role, ())
 
-    def _unheard(self, role: Role, status: Status) -> list[str]:
+    def _unheard(self, role: Role, status: Status, has_begun: bool = True) -> list[str]:
         """Streams of processes that were started again and aren't heard by this one yet."""
         return [
             spec.name
             for spec in self._listens(role)
-            if spec.role in self.roles and status.hears.get(spec.name, float("-inf")) < self._known[spec.role].returned
+            if spec.role in self.roles
+            and (has_begun or spec.kind == "Events")
+            and status.hears.get(spec.name, float("-inf")) < self._known[spec.role].returned
         ]
