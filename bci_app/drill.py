@@ -40,7 +40,7 @@ DROP_OUT_S = (0.1, 30.0)
 """Shortest and longest real seconds for which an amplifier drops out, even in their logarithm."""
 EARLY, EARLY_S = 0.1, 8.0
 """Share of deaths before the first move, and real seconds of them: processes take five to be ready (decided)."""
-JUMP_S = (10.0, 200_000.0)
+JUMP_S = (60.0, 200_000.0)
 """Smallest and largest session seconds by which a clock jumps, even in their logarithm."""
 RECORDED_S = 1.0
 """Real seconds before the end of its recorder of which a session may miss what was said."""

@@ -24,6 +24,8 @@ MOVED_S = 0.1
 """Real seconds by which samples may come later, or earlier, after their stamps than in the beginning. More is a clock
 that was set or drifts, or a network that holds them back, and an epoch could be that far beside its move (decided: a
 third of an ErrP)."""
+SLOW_S = 1.0
+"""The same in a simulation that runs faster than time: the computer that plays the amplifier may fall behind."""
 DELAY_S = 2.0
 """Real seconds of which the promptest sample tells how late they come: computers pause for less (decided)."""
 LINK_S = 1.0
@@ -48,6 +50,7 @@ class Reception:
         self, name: str, sfreq: float, speed: float, lead_s: float, tolerance: float, patience_s: float
     ) -> None:
         self._name, self._sfreq, self._speed = name, sfreq, speed
+        self._most_moved_s = MOVED_S if speed <= 1 else SLOW_S * speed
         self._lead_s, self._tolerance, self._patience_s = lead_s, tolerance, patience_s
         self._listened: float | None = None
         self.quiet_s = 0.0
@@ -124,7 +127,7 @@ class Reception:
         if len(breaks) or not np.isfinite(self._whole_since):
             self._whole_since = float(times[breaks[-1] if len(breaks) else 0])
         self._newest = float(times[-1])
-        if np.any(np.abs(steps) > MOVED_S * self._speed):
+        if np.any(np.abs(steps) > self._most_moved_s):
             self._delays.clear()  # what came before tells nothing of how late samples come from here on
 
     def _compare_clocks(self, newest: float, now: float, session_now: float) -> list[Remark]:
@@ -137,7 +140,7 @@ class Reception:
         delay = min(late for _, late in self._delays)
         self._usual = delay if self._usual is None else self._usual
         later, had_moved = delay - self._usual, bool(self.moved_s)
-        self.moved_s = later if abs(later) > MOVED_S * self._speed else 0.0
+        self.moved_s = later if abs(later) > self._most_moved_s else 0.0
         if self.moved_s and not had_moved:
             self._is_short = True
             return [
