@@ -110,16 +110,19 @@ def _load(path: Path) -> tuple[list[dict[str, Any]], list[str]]:
 
 def _missing(streams: list[dict[str, Any]]) -> list[str]:
     """LabRecorder writes a footer with the sample count for each stream when it closes a file in order."""
-    found = []
+    found, cut = [], []
     for stream in streams:
         name = stream["info"]["name"][0]
         try:
             count = int(stream["footer"]["info"]["sample_count"][0])
         except (KeyError, TypeError, IndexError):
-            found.append(f"Stream '{name}' has no footer: the file was cut off before it was closed.")
+            cut.append(f"'{name}'")
             continue
         if count > len(stream["time_stamps"]):
             found.append(f"Stream '{name}' should have {count} samples, found {len(stream['time_stamps'])}.")
+    if cut:
+        which = "no stream" if len(cut) == len(streams) else f"not {', '.join(cut)}"
+        found.append(f"The file was cut off before it was closed: {which} has a footer.")
     return found
 
 

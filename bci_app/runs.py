@@ -28,6 +28,9 @@ PACKAGES = (
     "torch",
 )
 
+RESERVE_BYTES = 8_000_000
+"""Room for what is written after a recording was closed: its checksums take 45 bytes a chunk, 5 MB after two hours."""
+
 
 @dataclass(frozen=True)
 class Run:
@@ -63,6 +66,11 @@ class Run:
     def logs(self) -> Path:
         """Folder of the processes' logs and the configuration they were given."""
         return self.stem.with_name(f"{self.stem.name}_logs")
+
+    @property
+    def reserve(self) -> Path:
+        """A file that only takes room, until the run is closed."""
+        return self.logs / "reserve"
 
 
 def check_label(value: str, what: str) -> str:
@@ -126,12 +134,29 @@ def sidecar_of(recording: Path) -> Path:
 
 def write_sidecar(path: Path, content: dict[str, Any]) -> None:
     """Write or renew a sidecar so that a crash leaves the old one or the new one, never half of it."""
+    _write_whole(path, json.dumps(content, indent=2) + "\n")
+
+
+def _write_whole(path: Path, text: str) -> None:
     temporary = path.with_suffix(".json.part")
     try:
-        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8")
         temporary.replace(path)
     except OSError as error:
+        temporary.unlink(missing_ok=True)
         raise SetupError(f"Can't write {path}: {error.strerror}. Is the disk full, or locked?") from error
+
+
+def reserve(run: Run) -> None:
+    """Take some room on the disk, so that a run that fills it can still be closed.
+
+    Raises SetupError where there is none.
+    """
+    try:
+        run.reserve.write_bytes(bytes(RESERVE_BYTES))
+    except OSError as error:
+        run.reserve.unlink(missing_ok=True)
+        raise SetupError(f"Can't write {run.reserve}: {error.strerror}. Free some room on the disk.") from error
 
 
 def read_sidecar(recording: Path) -> dict[str, Any]:
@@ -173,11 +198,9 @@ def write_sums(recording: Path) -> None:
     sums = [f"{chunk.start} {chunk.stop} {crc32(data[chunk.start : chunk.stop]):08x}" for chunk in chunks]
     headers = [data[chunk.start : chunk.stop].hex() for chunk in chunks if chunk.tag == STREAM_HEADER]
     content = {"of": recording.name, "bytes": len(data), "start stop crc32": sums, "stream headers": headers}
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            json.dump(content, file, indent=0)
-    except OSError as error:
-        raise SetupError(f"Can't write {path}: {error.strerror}. Is the disk full, or locked?") from error
+    if path.exists():
+        raise SetupError(f"{path} exists already and is not overwritten. Move it away.")
+    _write_whole(path, json.dumps(content, indent=0))
 
 
 @dataclass(frozen=True)

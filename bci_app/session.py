@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from os import getpid
 from pathlib import Path
+from shutil import disk_usage
 from typing import Any, Literal, NoReturn
 
 from bci_app.clock import Clock
@@ -38,7 +39,7 @@ from bci_app.protocol import (
 from bci_app.recorder import Recorder
 from bci_app.recording import read
 from bci_app.resuming import Stopped
-from bci_app.runs import Run, checksum, versions, write_sidecar, write_sums
+from bci_app.runs import Run, checksum, reserve, versions, write_sidecar, write_sums
 from bci_app.supervisor import STREAM_OF, Supervisor
 from bci_app.xdf import Follower
 
@@ -48,6 +49,9 @@ GROW_TIMEOUT_S = 2.0
 """Real seconds after which a file that doesn't grow is not being written: LabRecorder writes twice a second."""
 RECORDED_WITHIN_S = 8.0
 """Real seconds until every stream that speaks has come into a new file: LabRecorder asks for clocks first."""
+DISK_S, DISK_LEAST_S, DISK_LEAST_BYTES = 1.0, 20.0, 4_000_000
+"""Real seconds between two looks at the disk; of recording, and bytes, for which there must be room: until the next
+rest and the file's end it takes less (decided)."""
 HALT_TIMEOUT_S = 10.0
 """Real seconds a move under way may take until the run is stopped without waiting for its end."""
 FIR_CYCLES = 3.3
@@ -190,7 +194,7 @@ class _Conductor:
         )
         self.ended_at: float | None = None
         self.size = 0
-        self.grew_at = 0.0
+        self.grew_at = self.recorded_at = self.disk_at = 0.0
         before = plan.goes_on.recordings if plan.goes_on else ()
         self.lookout = Lookout(plan.look, [*before, plan.run.xdf], config) if plan.look else None
         self.blocks = 0
@@ -212,6 +216,7 @@ class _Conductor:
 
         The first move's epoch reaches back some seconds, and those must be in the file too, or no replay were exact.
         """
+        reserve(self.plan.run)
         self._save_sidecar(state="starting")
         for role in self.plan.roles:
             if role not in self.plan.remote:
@@ -288,7 +293,7 @@ class _Conductor:
             f"all streams to come into {self.plan.run.xdf}",
             GROW_TIMEOUT_S + RECORDED_WITHIN_S,
         )
-        self.grew_at = local_clock()
+        self.grew_at = self.recorded_at = local_clock()
         self._save_sidecar(state="recording", eeg={"name": eeg.name, "sfreq": eeg.sfreq, "channels": eeg.channels})
 
     def _silent_sources(self) -> set[str]:
@@ -380,9 +385,22 @@ class _Conductor:
             self._halt(
                 f"{self.plan.run.xdf} has stopped growing at {self.size} bytes: the disk is full or LabRecorder hangs."
             )
+        self._check_disk(now)
         if self.heard.rejected_in_a_row >= REJECTED_IN_A_ROW:
             raise LinkLost(
                 f"The last {REJECTED_IN_A_ROW} moves gave no valid epoch ({self.heard.last_reason}). Look at the EEG."
+            )
+
+    def _check_disk(self, now: float) -> None:
+        """End the run while there is still room for what happens until its next rest."""
+        if now - self.disk_at < DISK_S:
+            return
+        self.disk_at = now
+        a_second = self.size / max(1.0, now - self.recorded_at)
+        free = disk_usage(self.plan.run.xdf.parent).free
+        if free < max(DISK_LEAST_BYTES, a_second * DISK_LEAST_S):
+            self._halt(
+                f"Only {free / 1e6:.0f} MB are left on the disk of {self.plan.run.xdf}. Free some; then --resume."
             )
 
     def _halt(self, text: str) -> NoReturn:
@@ -422,6 +440,7 @@ class _Conductor:
         """Let the recorder have the tail, close the file, end the processes, and write down how it ended."""
         # All of this is bounded in time; a second Ctrl-C would only leave a recording without its end.
         handlers = {number: signal.signal(number, signal.SIG_IGN) for number in ENDINGS}
+        self.plan.run.reserve.unlink(missing_ok=True)
         try:
             if self.recorder is not None and self.recorder.alive:
                 self.peer.rest(TAIL_S)
