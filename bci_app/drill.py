@@ -197,6 +197,8 @@ def run(
         report(rows[-1])
     if all(is_good(row) for row in rows):
         shutil.rmtree(folder)
+    else:
+        report({"recordings of what wasn't survived": str(folder)})
     return rows
 
 

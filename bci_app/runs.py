@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from hashlib import file_digest
 from importlib.metadata import version
+from itertools import count
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -87,10 +88,11 @@ def new_run(folder: Path, participant: str, visit: str, task: str) -> Run:
     """
     check_label(participant, "--participant")
     check_label(visit, "--visit")
-    number = 1
-    while any(_files(run := Run(folder, participant, visit, task, number))):
-        number += 1
-    make_folder(run.logs, folder)
+    for number in count(1):
+        run = Run(folder, participant, visit, task, number)
+        # Two that begin at the same moment both find it free, and one of them makes the folder.
+        if not any(_files(run)) and make_folder(run.logs, folder):
+            break
     return run
 
 
@@ -104,15 +106,23 @@ def last_run(folder: Path, participant: str, visit: str, task: str) -> Run | Non
     return Run(folder, participant, visit, task, max(numbers)) if numbers else None
 
 
-def make_folder(path: Path, recordings: Path) -> None:
-    """Make a new folder, parents and all, below that of the recordings. Raises SetupError where it can't be."""
+def make_folder(path: Path, recordings: Path) -> bool:
+    """Make a new folder, parents and all, below that of the recordings; False where it is there already.
+
+    Raises SetupError where it can't be.
+    """
     try:
         path.mkdir(parents=True)
+    except FileExistsError:
+        if path.is_dir():
+            return False
+        raise SetupError(f"{path} is a file; expected room for a folder. Move it away.") from None
     except OSError as error:
         raise SetupError(
             f"Can't write recordings below {recordings}: {error.strerror}. Free or unlock the disk, or choose another "
             "folder with `recordings = ...` in the configuration."
         ) from error
+    return True
 
 
 def free_visit(folder: Path, participant: str) -> str:

@@ -1,5 +1,6 @@
 """Where jobs run, on this machine's cores through joblib or on a Dask cluster, and how far they are."""
 
+import os
 import threading
 import traceback
 import warnings
@@ -56,7 +57,7 @@ def pool_of(backend: Backend) -> Iterator[Pool]:
     def locally(jobs: Sequence[Job], notes: Path) -> Iterator[tuple[int, bytes | Exception]]:
         parallel = joblib.Parallel(n_jobs=backend.n_processes, batch_size=1, return_as="generator_unordered")
         results: Iterator[tuple[int, bytes | Exception]] = parallel(
-            joblib.delayed(_attempt_here)(number, job, notes) for number, job in enumerate(jobs)
+            joblib.delayed(_attempt_here)(number, job, notes, os.getpid()) for number, job in enumerate(jobs)
         )
         return results
 
@@ -76,13 +77,18 @@ def attempt(job: Job, progress: training.Progress = lambda done, of, word: None)
             return error
 
 
-def _attempt_here(number: int, job: Job, notes: Path) -> tuple[int, bytes | Exception]:
-    """In a worker of this machine: the same, with a note of how far it is where the one who waits can read it."""
+def _attempt_here(number: int, job: Job, notes: Path, owner: int) -> tuple[int, bytes | Exception]:
+    """In a worker of this machine: the same, with a note of how far it is where the one who waits can read it.
+
+    It ends where the process `owner` that waits for it was killed: nobody would read the result.
+    """
     if device().type == "cuda":
         torch.cuda.set_device(number % torch.cuda.device_count())
     partial = notes / f"{number}.partial"
 
     def note(done: int, of: int, _word: str) -> None:
+        if os.name == "posix" and os.getppid() != owner:
+            os._exit(1)  # loky takes an exception for the job's, and waits for more jobs
         # Windows replaces no file that is being read, and the folder goes when the one who waits is interrupted. The
         # next note will do: nothing that is only shown may stop a training.
         with suppress(OSError):
