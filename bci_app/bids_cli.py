@@ -1,7 +1,7 @@
 """The verbs that hand recordings on: `export-bids` and `export`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -35,6 +35,8 @@ def export_bids(
     told = read_about(about)
     with progress_bar(as_json) as progress:
         result = put(recordings, out, told, allow_damage, progress)
+    if not as_json:
+        result |= {"runs": [_sentence(run) for run in result["runs"]]}
     finish(result, as_json, "" if result["left_out"] else f"Next: bids-validator-deno {out}")
     if not result["fit"]:
         raise typer.Exit(SetupError.exit_code)
@@ -58,3 +60,11 @@ def export(
     with progress_bar(as_json) as progress:
         result = plain.export(recording, out, kind, allow_damage, progress)
     finish(result, as_json)
+
+
+def _sentence(run: dict[str, Any]) -> str:
+    lost = f", {run['lost_samples']} samples missing" if run["lost_samples"] else ""
+    return (
+        f"{Path(run['eeg']).name}: {run['state']}, {run['samples']} samples {run['samples_are']}{lost}, "
+        f"{run['events']} events, {run['placed']} of {run['epochs']} epochs at the decoder's sample"
+    )

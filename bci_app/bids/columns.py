@@ -23,7 +23,7 @@ TRIAL_TYPES: dict[str, tuple[str, str]] = {
     "block/start": ("A block of calibration moves begins", "Experiment-structure"),
     "block/end": ("A block of calibration moves is over", "Experiment-structure"),
     "episode/start": (
-        "The agent and the goal appear at new cells: row and column are the agent's, goal_row and goal_column the goal's",
+        "Agent and goal appear at new cells: row and column are the agent's, goal_row and goal_column the goal's",
         "Sensory-event, Visual-presentation, Experiment-structure",
     ),
     "episode/end": ("The episode is over; text: goal, limit, block or aborted", "Experiment-structure"),
@@ -66,16 +66,16 @@ COLUMNS: dict[str, dict[str, Any]] = {
     "onset": _column("Time of the sample in column sample: its number over the sampling frequency", "s"),
     "duration": _column("0 for what has no length", "s"),
     "sample": _column(
-        "Number of the sample, from 0, that is nearest to the event, as the decoder placed it. What came before the first "
-        "sample is put at it"
+        "Number of the sample, from 0, that is nearest to the event, as the decoder placed it. What came before the "
+        "first sample is put at it"
     ),
     "trial_type": _column(
         "What happened", levels={name: description for name, (description, _) in TRIAL_TYPES.items()}
     ),
     "marker": _column(
-        "Code of the event on the int32 marker stream: 1 to 4 the agent moved north, south, west, east; 20 episode starts; "
-        "21 to 24 it ends by goal, limit, block, aborted; 30 to 32 pause, resume, continued; 100, 101 session starts, "
-        "ends; 110, 111 block starts, ends"
+        "Code of the event on the int32 marker stream: 1 to 4 the agent moved north, south, west, east; 20 episode "
+        "starts; 21 to 24 it ends by goal, limit, block, aborted; 30 to 32 pause, resume, continued; 100, 101 session "
+        "starts, ends; 110, 111 block starts, ends"
     ),
     "block": _column("Block of a calibration, from 0"),
     "episode": _column("Episode, from start to goal, from 0"),
@@ -97,10 +97,10 @@ COLUMNS: dict[str, dict[str, Any]] = {
     ),
     "rejected": _column("Why the epoch couldn't be judged"),
     "bad_channels": _column("Channels that were repaired from the others, with their faults"),
-    "epoch_start": _column("Time of the first sample of the epoch that the verdict came from, on the scale of onset", "s"),
+    "epoch_start": _column("Time of the first sample of the epoch the verdict came from, on the scale of onset", "s"),
     "epoch_samples": _column("Samples of that epoch"),
     "verdict_after": _column("From the onset to the verdict's being sent, in session time", "s"),
-    "verdict_latency": _column("Real time from the arrival of the epoch's last sample to the verdict's being sent", "ms"),
+    "verdict_latency": _column("Real time from the arrival of the epoch's last sample to the verdict's sending", "ms"),
     "policy_took": _column("The verdict on this move as the policy took it for its next action", levels=_TAKEN),
     **{
         f"p_{name}": _column(f"Probability the policy gave to moving {name} when it chose this move")
@@ -119,5 +119,9 @@ def description(hed: bool = True) -> dict[str, Any]:
     """The content of ``events.json``."""
     columns = {name: dict(content) for name, content in COLUMNS.items()}
     if hed:
-        columns["trial_type"]["HED"] = {name: tags for name, (_, tags) in TRIAL_TYPES.items()}
+        # Each event is a group with its name and stamp, for two alike at one sample are said to be an error.
+        columns["trial_type"]["HED"] = {
+            name: f"({tags}, Label/{name.replace('/', '-')}, {{stamp}})" for name, (_, tags) in TRIAL_TYPES.items()
+        }
+        columns["stamp"]["HED"] = "Time-value/# s"
     return columns

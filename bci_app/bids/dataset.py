@@ -25,7 +25,8 @@ def export_bids(
 ) -> dict[str, Any]:
     """Put recordings into a dataset, new or begun.
 
-    Returns ``dataset``, ``runs`` (what became of each), ``left_out`` (why some aren't in it) and ``fit``: whether all are.
+    Returns ``dataset``, ``runs`` (what became of each), ``left_out`` (why some aren't in it) and ``fit``: whether all
+    are.
 
     Raises SetupError where nothing can be written: no recordings, or a folder that is no BIDS dataset.
     """
@@ -57,9 +58,10 @@ def _open(out: Path, about: About) -> None:
     if not described.exists():
         from mne_bids import make_dataset_description
 
-        told = words.dataset(about)
-        make_dataset_description(path=out, name=name, dataset_type="raw", authors=told.get("Authors"), verbose="ERROR")
-        _write_json(described, json.loads(described.read_text(encoding="utf-8")) | told)
+        make_dataset_description(path=out, name=name, dataset_type="raw", verbose="ERROR")
+        made = json.loads(described.read_text(encoding="utf-8"))
+        # Its placeholders for authors are worse than none.
+        _write_json(described, {key: made[key] for key in made if key != "Authors"} | words.dataset(about))
     if not any(out.glob("README*")):
         (out / "README.md").write_text(words.readme(name), encoding="utf-8")
 
@@ -69,12 +71,10 @@ def _add(path: Path, out: Path, about: About, allow_damage: bool) -> dict[str, A
     kept = out / "sourcedata" / run_of(path).stem.relative_to(path.parent).parent / path.name
     if kept.exists() and not cmp(path, kept, shallow=False):
         raise SetupError(
-            f"{path} is another recording than the one of the same name in {out}. Nothing is overwritten: give it another "
-            "run number, or export it into a dataset of its own."
+            f"{path} is another recording than the one of the same name in {out}. Nothing is overwritten: give it "
+            "another run number, or export it into a dataset of its own."
         )
     source = read_source(path, allow_damage)
-    told = {"recording": str(path), "eeg": str(_folder(source, out) / f"{_stem(source)}_eeg.vhdr")}
-    told |= {"samples": len(source.signals.values), "events": len(source.events.rows), "lost_samples": source.n_lost}
     if not kept.exists():
         with _staging(out) as scratch:
             _write_run(source, scratch, about, _has_hed(out))
@@ -85,8 +85,17 @@ def _add(path: Path, out: Path, about: About, allow_damage: bool) -> dict[str, A
     # The recording comes last: where it is, all of the run is.
     state = "there already" if kept.exists() else "written"
     _copy(path, kept)
-    exact = "to the bit" if source.signals.exact else "rounded to 32-bit floats"
-    return told | {"state": state, "samples_are": exact, "epochs": source.events.n_epochs, "placed": source.events.n_same}
+    return {
+        "recording": str(path),
+        "eeg": str(_folder(source, out) / f"{_stem(source)}_eeg.vhdr"),
+        "state": state,
+        "samples": len(source.signals.values),
+        "samples_are": source.signals.precision,
+        "lost_samples": source.n_lost,
+        "events": len(source.events.rows),
+        "epochs": source.events.n_epochs,
+        "placed": source.events.n_same,
+    }
 
 
 def _stem(source: Source) -> str:
@@ -135,16 +144,18 @@ def _write_run(source: Source, scratch: Path, about: About, hed: bool) -> None:
     write_raw_bids(raw, place, readme=False, verbose="ERROR")
     shutil.rmtree(scratch / "written")
     folder, stem = _folder(source, scratch / "dataset"), _stem(source)
-    _write_json(folder / f"{stem}_events.json", description(hed))
+    _write_json(
+        folder / f"{stem}_events.json", description(hed) | words.presentation(source.sidecar.get("versions", {}))
+    )
     (folder / f"{stem}_events.tsv").write_text(files.events_text(rows), encoding="utf-8")
     update_sidecar_json(
         place.copy().update(suffix="eeg", extension=".json"),
-        words.eeg(source.told(), source.recording.eeg.name, source.start.task, about),
+        words.eeg(source.told(), source.recording.eeg.name, signals.kinds.count("MISC"), source.start.task, about),
         verbose="ERROR",
     )
     _channels(source, folder / f"{stem}_channels.tsv")
-    for path in folder.parent.glob("eeg/*_coordsystem.json"):
-        _write_json(path, json.loads(path.read_text(encoding="utf-8")) | {"EEGCoordinateSystemDescription": words.PLACES})
+    for path in folder.glob("*_coordsystem.json"):
+        _write_json(path, words.places(json.loads(path.read_text(encoding="utf-8"))))
     files.check_same(read_raw_bids(place, verbose="ERROR"), signals)
 
 
@@ -182,8 +193,8 @@ def _move_in(scratch: Path, out: Path, stem: str) -> None:
             _write(target, tables.text(*tables.merged(tables.read(target), columns, rows, "name")))
         elif target.exists() and not cmp(path, target, shallow=False):
             raise SetupError(
-                f"{target} is there already and differs from what {stem} gives. Nothing is overwritten: remove or move that "
-                "run's files, or export into a new folder."
+                f"{target} is there already and differs from what {stem} gives. Nothing is overwritten: remove or "
+                "move that run's files, or export into a new folder."
             )
         else:
             target.parent.mkdir(parents=True, exist_ok=True)

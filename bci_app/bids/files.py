@@ -1,5 +1,6 @@
 """Writes signals and events as BrainVision or EEGLAB, and reads them back to see that nothing has changed."""
 
+import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -32,19 +33,23 @@ def write_brainvision(folder: Path, name: str, signals: Signals, rows: Sequence[
     """
     import pybv
 
-    pybv.write_brainvision(
-        data=_volts(signals).T,
-        sfreq=signals.sfreq,
-        ch_names=list(signals.names),
-        fname_base=name,
-        folder_out=folder,
-        events=[
-            {"onset": row["sample"], "duration": 1, "description": row["trial_type"], "type": _COMMENT} for row in rows
-        ],
-        resolution=1.0,
-        unit=list(signals.units),
-        fmt="binary_float32",
-    )
+    with warnings.catch_warnings():
+        # MISC channels have other units than BrainVision knows; MNE reads them as they are.
+        warnings.filterwarnings("ignore", "Encountered unsupported non-voltage units")
+        pybv.write_brainvision(
+            data=_volts(signals).T,
+            sfreq=signals.sfreq,
+            ch_names=list(signals.names),
+            fname_base=name,
+            folder_out=folder,
+            events=[
+                {"onset": row["sample"], "duration": 1, "description": row["trial_type"], "type": _COMMENT}
+                for row in rows
+            ],
+            resolution=1.0,
+            unit=list(signals.units),
+            fmt="binary_float32",
+        )
     return folder / f"{name}.vhdr"
 
 

@@ -1,8 +1,8 @@
 """The regular grid that BIDS, BrainVision and EEGLAB know, and where a recording leaves it.
 
-A recording keeps each sample with its own stamp. The other formats number samples: sample `k` is at ``k / sfreq``. So all
-samples are kept, in their order, and an event is put at the number of the sample that the decoder took for it. Where
-samples are missing, those on either side become neighbours, and the place is marked.
+A recording keeps each sample with its own stamp. The other formats number samples: sample `k` is at ``k / sfreq``. So
+all samples are kept, in their order, and an event is put at the number of the sample that the decoder took for it.
+Where samples are missing, those on either side become neighbours, and the place is marked.
 """
 
 from collections.abc import Iterator, Sequence

@@ -18,8 +18,8 @@ Format = Literal["brainvision", "eeglab"]
 def export(path: Path, out: Path, kind: Format, allow_damage: bool, progress: Progress) -> dict[str, Any]:
     """Write a recording as the files of another program, its table of events beside them.
 
-    Returns ``file``, ``samples``, ``events``, ``lost_samples`` and ``samples_are``. Raises SetupError where the recording
-    is unusable, or files of that name are there already.
+    Returns ``file``, ``samples``, ``events``, ``lost_samples`` and ``samples_are``. Raises SetupError where the
+    recording is unusable, or files of that name are there already.
     """
     progress("reading the recording", 0, 3)
     source = read_source(path, allow_damage)
@@ -49,5 +49,5 @@ def export(path: Path, out: Path, kind: Format, allow_damage: bool, progress: Pr
         "samples": len(source.signals.values),
         "events": len(rows),
         "lost_samples": source.n_lost,
-        "samples_are": "to the bit" if source.signals.exact else "rounded to 32-bit floats",
+        "samples_are": source.signals.precision,
     }

@@ -37,6 +37,11 @@ class Signals:
     sfreq: float
     exact: bool
 
+    @property
+    def precision(self) -> str:
+        """The same in words."""
+        return "to the bit" if self.exact else "rounded to 32-bit floats"
+
 
 def signals(eeg: EegDescription, samples: NDArray[Any]) -> Signals:
     """The signals of samples as on the wire, (n_times, n_channels).
@@ -69,7 +74,8 @@ def _kind(kind: str) -> str:
 
 def _names(channels: Sequence[str], kinds: Sequence[str]) -> list[str]:
     """Unique names: EEG keeps its labels, which `EegDescription.check` has found unique; others may have none."""
-    plain = [name.replace("\t", " ").strip() or f"{kind}{i + 1}" for i, (name, kind) in enumerate(zip(channels, kinds))]
+    pairs = list(zip(channels, kinds, strict=True))
+    plain = [name.replace("\t", " ").strip() or f"{kind}{i + 1}" for i, (name, kind) in enumerate(pairs)]
     counts = Counter(plain)
     return [
         name if kind != "MISC" or counts[name] == 1 else f"{name}-{i + 1}"

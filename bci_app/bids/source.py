@@ -1,7 +1,7 @@
 """A recording that is to be exported: what it is called, what is in it, what is known of how it came about."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -122,8 +122,8 @@ def run_of(path: Path) -> Run:
     match = NAME.fullmatch(path.name)
     if match is None:
         raise SetupError(
-            f"{path} must be named as in sub-P001_ses-S001_task-online_run-001_eeg.xdf to be put into a dataset. Rename it "
-            "and its sidecar."
+            f"{path} must be named as in sub-P001_ses-S001_task-online_run-001_eeg.xdf to be put into a dataset. "
+            "Rename it and its sidecar."
         )
     return Run(path.parent, match["participant"], match["visit"], match["task"], int(match["run"]))
 
@@ -141,8 +141,8 @@ def read_source(path: Path, allow_damage: bool) -> Source:
     start = starts[0][1]
     if start.task != run.task or start.participant != run.participant:
         raise SetupError(
-            f"{path} is called {run.task} of {run.participant}, and holds {start.task} of {start.participant}. Give it its "
-            "own name again."
+            f"{path} is called {run.task} of {run.participant}, and holds {start.task} of {start.participant}. Give it "
+            "its own name again."
         )
     return Source(
         run,

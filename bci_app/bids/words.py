@@ -15,13 +15,14 @@ TASKS = {
         "error-related potential (ErrP)."
     ),
     "online": (
-        "An agent searches a grid for a goal that only the participant sees. A decoder tells from the EEG after each move "
-        "whether it was an error, and a policy chooses the next move by these verdicts. One episode for each initial "
+        "An agent searches a grid for a goal that only the participant sees. A decoder tells from the EEG after each "
+        "move whether it was an error, and a policy chooses the next move by these verdicts. One episode for each initial "
         "distance."
     ),
 }
 INSTRUCTIONS = (
-    "Watch the agent and judge each move in silence: did it come closer to the goal or not? Blink while the agent rests."
+    "Watch the agent and judge each move in silence: did it come closer to the goal or not? "
+    "Blink while the agent rests."
 )
 PARTICIPANTS = {
     "participant_id": {"Description": "The participant's label"},
@@ -37,7 +38,10 @@ SCANS = {
     "filename": {"Description": "The run's EEG"},
     "acq_time": {"Description": "When it was recorded; never told, for it may identify a person"},
     "map": {"Description": "Map of the run"},
-    "simulated": {"Description": "Whether a program took the participant's place", "Levels": {"yes": "Yes", "no": "No"}},
+    "simulated": {
+        "Description": "Whether a program took the participant's place",
+        "Levels": {"yes": "It did; nobody was recorded", "no": "A person"},
+    },
     "ended": {
         "Description": "How the run ended",
         "Levels": {
@@ -52,9 +56,9 @@ SCANS = {
 }
 README = """# {name}
 
-EEG of a closed-loop brain-computer interface: an agent searches a grid for a goal that only the participant can see, and
-is steered by the participant's error-related potentials. After X. Wang, H.-T. Chen, C.-T. Lin, J. Neural Eng. 19 066023
-(2022). Recorded and exported with errp-bci.
+EEG of a closed-loop brain-computer interface: an agent searches a grid for a goal that only the participant can see,
+and is steered by the participant's error-related potentials. After X. Wang, H.-T. Chen, C.-T. Lin, J. Neural Eng. 19
+066023 (2022). Recorded and exported with errp-bci.
 
 ## Tasks
 
@@ -63,8 +67,8 @@ is steered by the participant's error-related potentials. After X. Wang, H.-T. C
 
 ## Where things are
 
-- `sub-*/ses-*/eeg/*_eeg.vhdr`: the EEG as it was recorded, unfiltered, in microvolts as 32-bit floats; all samples, bit by
-  bit. `*_eeg.json` also tells each run's seed, map, configuration and the versions of all software (`ErrpBci`).
+- `sub-*/ses-*/eeg/*_eeg.vhdr`: the EEG as it was recorded, unfiltered, all samples, in microvolts as 32-bit floats.
+  `*_eeg.json` also tells each run's seed, map, configuration and the versions of all software (`ErrpBci`).
 - `*_events.tsv`: one row a move with truth, verdict, score and latencies, and what else happened; `*_events.json`
   describes each column.
 - `*_scans.tsv`: map of each run, how it ended, which runs go on from others.
@@ -80,7 +84,8 @@ is steered by the participant's error-related potentials. After X. Wang, H.-T. C
 - A run that `continues` another (`*_scans.tsv`) numbers its episodes and blocks on its own.
 """
 PLACES = (
-    "Not measured. Places of the 10-05 system on the Colin27 template, as MNE-Python ships them, by the channels' names."
+    "Not measured. Places of the 10-05 system on the Colin27 template, as MNE-Python ships them, "
+    "by the channels' names."
 )
 
 
@@ -111,10 +116,33 @@ def participants(columns: Sequence[str], about: About) -> dict[str, Any]:
     return {name: PARTICIPANTS.get(name, own[name]) for name in columns}
 
 
-def eeg(run: dict[str, Any], stream: str, task: str, about: About) -> dict[str, Any]:
+def places(made: dict[str, Any]) -> dict[str, Any]:
+    """The content of ``coordsystem.json``: where the places come from, and that the landmarks are the template's."""
+    landmarks = {
+        "FiducialsCoordinates": made["AnatomicalLandmarkCoordinates"],
+        "FiducialsCoordinateSystem": made["AnatomicalLandmarkCoordinateSystem"],
+        "FiducialsCoordinateUnits": made["AnatomicalLandmarkCoordinateUnits"],
+        "FiducialsCoordinateSystemDescription": PLACES,
+        "AnatomicalLandmarkCoordinateSystemDescription": PLACES,
+    }
+    return made | landmarks | {"EEGCoordinateSystemDescription": PLACES}
+
+
+def presentation(versions: dict[str, str]) -> dict[str, Any]:
+    """What ``events.json`` tells of the software that showed the stimulus."""
+    told = {
+        "OperatingSystem": versions.get("platform", "n/a"),
+        "SoftwareName": "errp-bci",
+        "SoftwareVersion": versions.get("errp-bci", "n/a"),
+    }
+    return {"StimulusPresentation": told}
+
+
+def eeg(run: dict[str, Any], stream: str, n_misc: int, task: str, about: About) -> dict[str, Any]:
     """What a run's ``_eeg.json`` tells beside what the library finds in the file.
 
-    `run` is `ErrpBci`, which must tell whether it is ``Simulated``; `stream` the name of the amplifier's stream.
+    `run` is `ErrpBci`, which must tell whether it is ``Simulated``; `stream` the name of the amplifier's stream, which
+    has `n_misc` channels that are neither EEG nor EOG.
     """
     simulated = run["Simulated"]
     unknown = dict.fromkeys(("EEGReference", "EEGGround", "PowerLineFrequency", "Manufacturer"), "n/a")
@@ -126,6 +154,7 @@ def eeg(run: dict[str, Any], stream: str, task: str, about: About) -> dict[str, 
             "ManufacturersModelName": stream,
             "HardwareFilters": "n/a",
             "SoftwareFilters": "n/a",
+            "MISCChannelCount": n_misc,
         }
         | ({"SubjectArtefactDescription": SIMULATED.strip()} if simulated else {})
         | about.eeg.given()
