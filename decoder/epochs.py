@@ -174,10 +174,10 @@ def _row_of(segment: Segment, onset: float, shape: Shape) -> int | Rejection | N
     if around.stop > len(segment.times):
         return None
     offset = offset_of_line(segment.times[around], shape.sfreq, crossing - around.start)
-    late = segment.times[crossing] + offset - onset
+    late = float(segment.times[crossing] + offset - onset)
     if abs(late) > MAX_JITTER + 0.5 / shape.sfreq:
         return Rejection(f"gap: no sample within {MAX_JITTER * 1000:.0f} ms of the onset")
-    return crossing - int(round(late * shape.sfreq))
+    return crossing - round(late * shape.sfreq)
 
 
 def _outside(segment: Segment, stretch: slice, onset: float) -> Rejection | None:

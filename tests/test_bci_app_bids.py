@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Cli
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 from xdf_files import write_xdf
 
 from bci_app.bids import tables
@@ -26,6 +26,7 @@ from bci_app.bids.grid import Gap, gaps
 from bci_app.bids.plain import export
 from bci_app.bids.signals import signals
 from bci_app.bids.source import read_source
+from bci_app.cli import app
 from bci_app.config import Config
 from bci_app.eeg import EegDescription
 from bci_app.errors import SetupError
@@ -393,8 +394,7 @@ def test_a_mistake_in_what_the_lab_tells_is_named(tmp_path: Path, text: str, say
         read_about(path)
 
 
-def test_mistakes_are_sentences(study: Study, tmp_path: Path, cli: Cli) -> None:
-    """Also: the help needs no MNE (tested where all verbs are); nothing is written."""
+def test_mistakes_are_sentences(study: Study, tmp_path: Path) -> None:
     some = next(study.recordings.glob("*/*/*/*P001*online*.xdf"))
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "x").touch()
@@ -414,9 +414,9 @@ def test_mistakes_are_sentences(study: Study, tmp_path: Path, cli: Cli) -> None:
     left_out = export_bids([tmp_path / "mine.xdf", wrong], new, About(), False, quiet)["left_out"]
     assert "must be named as in" in left_out[0]
     assert "is called online of P003, and holds online of P001" in left_out[1]
-    done = cli("export-bids", wrong, "--out", new)
-    assert done.returncode == 2
-    assert "P003" in done.stdout
-    done = cli("export", some, "--out", new, "--format", "edf")
-    assert done.returncode == 2
-    assert "--format must be brainvision or eeglab" in done.stderr
+    done = CliRunner().invoke(app, ["export-bids", str(wrong), "--out", str(new)])
+    assert done.exit_code == 2
+    assert "P003" in done.output
+    done = CliRunner().invoke(app, ["export", str(some), "--out", str(new), "--format", "edf"])
+    assert done.exit_code == 2
+    assert "--format must be brainvision or eeglab" in done.output

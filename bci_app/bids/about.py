@@ -88,5 +88,5 @@ def _sentence(item: Any) -> str:
     key = ".".join(str(part) for part in item["loc"])
     if item["type"] != "extra_forbidden":
         return f"'{key}': {item['msg']}, found {item['input']!r:.60}"
-    known: type[_Part] = {"dataset": Dataset, "eeg": Eeg}.get(str(item["loc"][0]), About)
-    return f"unknown key '{key}'; known: {', '.join(known.model_fields)}"
+    known = {"dataset": Dataset.model_fields, "eeg": Eeg.model_fields}.get(str(item["loc"][0]), About.model_fields)
+    return f"unknown key '{key}'; known: {', '.join(known)}"

@@ -16,8 +16,8 @@ TASKS = {
     ),
     "online": (
         "An agent searches a grid for a goal that only the participant sees. A decoder tells from the EEG after each "
-        "move whether it was an error, and a policy chooses the next move by these verdicts. One episode for each initial "
-        "distance."
+        "move whether it was an error, and a policy chooses the next move by these verdicts. One episode for each "
+        "initial distance."
     ),
 }
 INSTRUCTIONS = (
