@@ -114,7 +114,12 @@ def recorded(folder: Path, participant: str, task: str = "online", run: int = 1,
     samples, times = eeg(seed)
     path = folder / f"sub-{participant}" / "ses-S001" / "eeg" / name
     write_xdf(path, samples, times, CHANNELS, SFREQ, said(task, participant), **more)
-    sidecar = {"config": Config().model_dump(mode="json"), "simulated": participant == "P002", "versions": {"mne": "1"}}
+    sidecar = {
+        "continues": [str(path)] if run > 1 else [],
+        "config": Config().model_dump(mode="json"),
+        "simulated": participant == "P002",
+        "versions": {"mne": "1"},
+    }
     path.with_suffix(".json").write_text(json.dumps(sidecar))
     return path
 
@@ -150,6 +155,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
     told = [export_bids(first, out, ABOUT, False, quiet)]
     (out / "README.md").write_text(OURS)
     recorded(recordings, "P002", seed=3)
+    recorded(recordings, "P002", seed=4, run=2)
     told.append(export_bids([recordings], out, ABOUT, False, quiet))
     return Study(recordings, out, told)
 
@@ -209,7 +215,7 @@ def test_an_onset_is_at_the_sample_that_the_decoder_takes(study: Study) -> None:
 def test_what_is_known_of_a_move_is_in_its_row(study: Study) -> None:
     table = study.eeg() / "sub-P001_ses-S001_task-online_run-001_events.tsv"
     columns, rows = tables.read(table)
-    assert columns == list(COLUMNS)
+    assert columns == [*COLUMNS, "HED"]
     moves = [row for row in rows if row["trial_type"].startswith("move/")]
     third = moves[2]
     expected = {"trial_type": "move/error", "truth": "error", "verdict": "correct", "log_odds": "-1.5", "block": "0"}
@@ -234,13 +240,16 @@ def test_missing_samples_are_marked_for_mne_and_for_eeglab(study: Study) -> None
 
 def test_a_dataset_goes_on_and_what_is_in_it_stays(study: Study) -> None:
     assert [run["state"] for run in study.told[0]["runs"]] == ["written"] * 2
-    assert [run["state"] for run in study.told[1]["runs"]] == ["there already", "there already", "written"]
+    assert [run["state"] for run in study.told[1]["runs"]] == ["there already"] * 2 + ["written"] * 2
     assert (study.out / "README.md").read_text() == OURS
     people = rows_of(study.out / "participants.tsv")
     assert [(row["participant_id"], row["simulated"], row["age"], row["gaming"]) for row in people] == [
         ("sub-P001", "no", "31", "daily"),
         ("sub-P002", "yes", "n/a", "n/a"),
     ]
+    scans = rows_of(study.eeg("P002").parent / "sub-P002_ses-S001_scans.tsv")
+    assert [(scan["ended"], scan["simulated"], scan["map"]) for scan in scans] == [("complete", "yes", "open")] * 2
+    assert scans[1]["continues"] == "sub-P002_ses-S001_task-online_run-002_eeg.xdf"
     assert json.loads((study.out / "participants.json").read_text())["gaming"]["Description"].startswith("How often")
     for path in study.recordings.rglob("*_eeg.*"):
         kept = study.out / "sourcedata" / path.relative_to(study.recordings)
@@ -272,11 +281,11 @@ def test_a_run_that_was_half_written_is_not_overwritten(study: Study, tmp_path: 
     """The recording comes last: without it the run is put together again, and must come out the same."""
     out = tmp_path / "bids"
     shutil.copytree(study.out, out)
-    kept = next(out.glob("sourcedata/*/*/*/*P002*.xdf"))
+    kept = next(out.glob("sourcedata/*/*/*/*P002*run-001*.xdf"))
     kept.unlink()
     assert export_bids([study.recordings], out, ABOUT, False, quiet)["fit"]
     kept.unlink()
-    table = next(out.glob("sub-P002/*/*/*_events.tsv"))
+    table = next(out.glob("sub-P002/*/*/*run-001_events.tsv"))
     table.write_text("mine")
     told = export_bids([study.recordings], out, ABOUT, False, quiet)
     assert "differs from what sub-P002" in told["left_out"][0]
@@ -370,6 +379,10 @@ def test_events_outside_the_eeg_are_put_at_its_ends() -> None:
     assert {row["sample"] for row in found.rows} <= set(range(1000))
     assert found.rows[0]["sample"] == 0
     assert found.rows[-1]["sample"] == 999
+    seen = [row["trial_type"] != "move/unseen" for row in found.rows if "action" in row]
+    inside = [times[2000] <= row["stamp"] + 0.25 <= times[2999] for row in found.rows if "action" in row]
+    assert seen == inside
+    assert sum(seen) == 2
 
 
 def test_rows_come_into_a_table_beside_what_others_wrote() -> None:

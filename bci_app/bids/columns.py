@@ -18,6 +18,10 @@ TRIAL_TYPES: dict[str, tuple[str, str]] = {
         "The agent jumped to the next cell; the record doesn't hold whether it was an error",
         "Sensory-event, Visual-presentation, Experimental-stimulus",
     ),
+    "move/unseen": (
+        "The agent jumped while no EEG was recorded: the sample is the nearest there is, and no epoch can be cut",
+        "Sensory-event, Visual-presentation, Experimental-stimulus",
+    ),
     "session/start": ("First message of the run; text: task and map", "Experiment-structure"),
     "session/end": ("Last message of the run; text: how it ended", "Experiment-structure"),
     "block/start": ("A block of calibration moves begins", "Experiment-structure"),
@@ -112,16 +116,10 @@ COLUMNS: dict[str, dict[str, Any]] = {
     "clock_offset": _column("Added to stamp to put it on the EEG's clock", "s"),
     "text": _column("In words"),
 }
-"""The columns in order."""
+"""The content of ``events.json``: the columns in order. (BIDS knows the column HED.)"""
 
 
-def description(hed: bool = True) -> dict[str, Any]:
-    """The content of ``events.json``."""
-    columns = {name: dict(content) for name, content in COLUMNS.items()}
-    if hed:
-        # Each event is a group with its name and stamp, for two alike at one sample are said to be an error.
-        columns["trial_type"]["HED"] = {
-            name: f"({tags}, Label/{name.replace('/', '-')}, {{stamp}})" for name, (_, tags) in TRIAL_TYPES.items()
-        }
-        columns["stamp"]["HED"] = "Time-value/# s"
-    return columns
+def hed(trial_type: str, stamp: float) -> str:
+    """The HED tags of an event: one group, with its name and stamp, for two alike at one sample would be an error."""
+    tags, name = TRIAL_TYPES[trial_type][1], trial_type.replace("/", "-")
+    return f"({tags}, Label/{name}, Time-value/{stamp:.6f} s)"

@@ -11,7 +11,7 @@ from typing import Any
 
 from bci_app.bids import files, tables, words
 from bci_app.bids.about import About
-from bci_app.bids.columns import description
+from bci_app.bids.columns import COLUMNS
 from bci_app.bids.source import Source, find, read_source, run_of
 from bci_app.errors import SetupError
 from bci_app.progress import Progress
@@ -30,7 +30,7 @@ def export_bids(
 
     Raises SetupError where nothing can be written: no recordings, or a folder that is no BIDS dataset.
     """
-    found = find(paths)
+    found = [path for path in find(paths) if not path.resolve().is_relative_to(out.resolve())]
     _open(out, about)
     runs, left_out = [], []
     for number, path in enumerate(found):
@@ -144,10 +144,8 @@ def _write_run(source: Source, scratch: Path, about: About, hed: bool) -> None:
     write_raw_bids(raw, place, readme=False, verbose="ERROR")
     shutil.rmtree(scratch / "written")
     folder, stem = _folder(source, scratch / "dataset"), _stem(source)
-    _write_json(
-        folder / f"{stem}_events.json", description(hed) | words.presentation(source.sidecar.get("versions", {}))
-    )
-    (folder / f"{stem}_events.tsv").write_text(files.events_text(rows), encoding="utf-8")
+    _write_json(folder / f"{stem}_events.json", COLUMNS | words.presentation(source.sidecar.get("versions", {})))
+    (folder / f"{stem}_events.tsv").write_text(files.events_text(rows, hed), encoding="utf-8")
     update_sidecar_json(
         place.copy().update(suffix="eeg", extension=".json"),
         words.eeg(source.told(), source.recording.eeg.name, signals.kinds.count("MISC"), source.start.task, about),

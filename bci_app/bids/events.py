@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bci_app.bids.columns import hed
 from bci_app.bids.grid import Gap, gaps, rows
 from bci_app.moves import Key, electrodes
 from bci_app.protocol import (
@@ -33,6 +34,7 @@ from bci_app.protocol import (
 )
 from bci_app.recording import Recording
 from decoder.epochs import Shape
+from decoder.timeline import MAX_JITTER
 
 Row = dict[str, Any]
 _TRUTH = {True: "error", False: "correct", None: None}
@@ -59,10 +61,13 @@ def events(recording: Recording, shape: Shape) -> Events:
     """All events of a recording, placed as an epoch of this shape is."""
     found = list(_moves(recording)) + list(_others(recording))
     times, sfreq = recording.times, recording.eeg.sfreq
-    samples = rows(times, [row["stamp"] + row["clock_offset"] for row in found], shape)
+    stamps = [row["stamp"] + row["clock_offset"] for row in found]
+    samples = rows(times, stamps, shape)
     n_epochs = n_same = 0
-    for row, sample in zip(found, samples, strict=True):
+    for row, stamp, sample in zip(found, stamps, samples, strict=True):
         row["sample"] = sample
+        if "action" in row and abs(times[sample] - stamp) > MAX_JITTER + 0.5 / sfreq:
+            row["trial_type"] = "move/unseen"
         first = row.pop("first_time", None)
         if first is not None:
             start = _row_stamped(recording, first, sample - shape.n_before)
@@ -72,7 +77,7 @@ def events(recording: Recording, shape: Shape) -> Events:
     found += [row for gap in lost for row in _of_gap(gap, recording)]
     found.sort(key=lambda row: (row["sample"], row["stamp"]))
     for row in found:
-        row["onset"] = row["sample"] / sfreq
+        row |= {"onset": row["sample"] / sfreq, "HED": hed(row["trial_type"], row["stamp"])}
         row.setdefault("duration", 0)
     return Events(tuple(found), tuple(lost), n_epochs, n_same)
 

@@ -20,9 +20,9 @@ EEGLAB_MOST_BYTES = 2**31 - 1
 _COMMENT = "Comment"
 
 
-def events_text(rows: Sequence[Row]) -> str:
+def events_text(rows: Sequence[Row], with_hed: bool = True) -> str:
     """The content of ``events.tsv``; columns that are empty all along are kept, so that all runs have the same."""
-    return tables.text(list(COLUMNS), rows)
+    return tables.text([*COLUMNS, *(["HED"] if with_hed else [])], rows)
 
 
 def write_brainvision(folder: Path, name: str, signals: Signals, rows: Sequence[Row]) -> Path:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bci_app.bids import files
-from bci_app.bids.columns import description
+from bci_app.bids.columns import COLUMNS
 from bci_app.bids.dataset import STAGING
 from bci_app.bids.source import read_source
 from bci_app.errors import SetupError
@@ -39,7 +39,9 @@ def export(path: Path, out: Path, kind: Format, allow_damage: bool, progress: Pr
                 each.replace(out / each.name)
         table = out / f"{source.run.stem.name}_events.tsv"
         table.write_text(files.events_text(rows), encoding="utf-8")
-        table.with_suffix(".json").write_text(json.dumps(description(), indent=2) + "\n", encoding="utf-8")
+        table.with_suffix(".json").write_text(
+            json.dumps(COLUMNS, indent=2, ensure_ascii=False) + "\n", encoding="utf-8"
+        )
     except OSError as error:
         raise SetupError(f"Can't write into {out}: {error}. Choose another folder, or free the disk.") from error
     progress("done", 3, 3)

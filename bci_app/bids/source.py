@@ -8,7 +8,7 @@ from typing import Any
 
 from bci_app.bids.events import Events, events
 from bci_app.bids.signals import Signals, signals
-from bci_app.config import Config, validated
+from bci_app.config import validated
 from bci_app.errors import SetupError
 from bci_app.protocol import RunSeed, SessionEnd, SessionStart
 from bci_app.recording import Recording, read
@@ -157,8 +157,9 @@ def read_source(path: Path, allow_damage: bool) -> Source:
 
 def _shape(sidecar: dict[str, Any], path: Path, recording: Recording) -> Shape:
     """What an epoch of the run looked like, by its own configuration."""
-    chain = validated(sidecar["config"], str(path)).chain if "config" in sidecar else Config().chain
-    made = design(chain, recording.eeg.sfreq)
+    config = sidecar.get("config", {})
+    kept = config.get("chain", {}) if isinstance(config, dict) else {}
+    made = design(validated({"chain": kept}, str(path)).chain, recording.eeg.sfreq)
     return Shape(recording.eeg.sfreq, made.n_before, made.n_after)
 
 
