@@ -17,7 +17,7 @@ from bci_app.errors import SetupError
 from bci_app.progress import Progress
 
 STAGING = ".bci-app-"
-"""Beginning of the folder in which a run is put together; what a crash left of it may be removed."""
+"""Beginning of the folder in which a run is put together."""
 
 
 def export_bids(
@@ -54,16 +54,19 @@ def _open(out: Path, about: About) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SetupError(f"Can't write into {out}: {error.strerror}. Choose another folder.") from error
+    for left in out.glob(f"{STAGING}*"):  # of an export that was killed
+        shutil.rmtree(left, ignore_errors=True)
     name = words.dataset(about)["Name"]
     if not described.exists():
         from mne_bids import make_dataset_description
 
-        make_dataset_description(path=out, name=name, dataset_type="raw", verbose="ERROR")
-        made = json.loads(described.read_text(encoding="utf-8"))
+        with _staging(out) as scratch:
+            make_dataset_description(path=scratch, name=name, dataset_type="raw", verbose="ERROR")
+            made = json.loads((scratch / described.name).read_text(encoding="utf-8"))
         # Its placeholders for authors are worse than none.
         _write_json(described, {key: made[key] for key in made if key != "Authors"} | words.dataset(about))
     if not any(out.glob("README*")):
-        (out / "README.md").write_text(words.readme(name), encoding="utf-8")
+        _write(out / "README.md", words.readme(name))
 
 
 def _add(path: Path, out: Path, about: About, allow_damage: bool) -> dict[str, Any]:
