@@ -48,14 +48,14 @@ def _open(out: Path, about: About) -> None:
     described = out / "dataset_description.json"
     if out.exists() and not out.is_dir():
         raise SetupError(f"{out} is a file; --out must be a folder, new or of a BIDS dataset.")
+    for left in out.glob(f"{STAGING}*"):  # of an export that was killed
+        shutil.rmtree(left, ignore_errors=True)
     if out.exists() and any(out.iterdir()) and not described.exists():
         raise SetupError(f"{out} holds something else than a BIDS dataset. Choose a new folder, or an empty one.")
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SetupError(f"Can't write into {out}: {error.strerror}. Choose another folder.") from error
-    for left in out.glob(f"{STAGING}*"):  # of an export that was killed
-        shutil.rmtree(left, ignore_errors=True)
     name = words.dataset(about)["Name"]
     if not described.exists():
         from mne_bids import make_dataset_description
