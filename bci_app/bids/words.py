@@ -81,7 +81,7 @@ and is steered by the participant's error-related potentials. After X. Wang, H.-
 - Where samples are missing those that are there follow one another, so that time is shorter than it was. `BAD_gap` and
   `boundary` mark the places. The EEG's own stamps are in the XDF.
 - `electrodes.tsv` holds places of a template by the channels' names, not measured ones.
-- A run that `continues` another (`*_scans.tsv`) numbers its episodes and blocks on its own.
+- A run that `continues` another (`*_scans.tsv`) goes on with its blocks; in a calibration it numbers its episodes anew.
 """
 PLACES = (
     "Not measured. Places of the 10-05 system on the Colin27 template, as MNE-Python ships them, "
