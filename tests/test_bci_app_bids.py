@@ -319,6 +319,8 @@ def test_one_run_alone(study: Study, tmp_path: Path, kind: Any) -> None:
     names = [note["description"].removeprefix("Comment/") for note in raw.annotations]
     assert names.count("move/correct") == 6
     assert names.count("boundary") == 1
+    if kind == "eeglab":
+        assert raw.annotations.duration[names.index("boundary")] == pytest.approx(LOST / SFREQ)
     events = rows_of(Path(told["table"]))
     wanted = [int(row["sample"]) for row in events if row["trial_type"].startswith("move/")]
     onsets = [n["onset"] for n, name in zip(raw.annotations, names, strict=True) if name.startswith("move/")]
@@ -407,6 +409,11 @@ def test_a_mistake_in_what_the_lab_tells_is_named(tmp_path: Path, text: str, say
     path.write_text(text)
     with pytest.raises(SetupError, match=says):
         read_about(path)
+
+
+def test_other_verbs_dont_wait_for_the_libraries_of_this_one() -> None:
+    look = "import sys, bci_app.cli; sys.exit(str({'mne', 'mne_bids', 'pybv', 'eeglabio'} & set(sys.modules) or ''))"
+    assert not subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=False).stderr.strip()
 
 
 def test_mistakes_are_sentences(study: Study, tmp_path: Path) -> None:

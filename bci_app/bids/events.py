@@ -225,7 +225,7 @@ def _of_gap(gap: Gap, recording: Recording) -> Iterator[Row]:
     common = {"clock_offset": 0.0, "text": what}
     duration = 1 / recording.eeg.sfreq
     yield {"trial_type": "BAD_gap", "sample": gap.row - 1, "duration": duration, "stamp": before, **common}
-    yield {"trial_type": "boundary", "sample": gap.row, "stamp": stamp, **common}
+    yield {"trial_type": "boundary", "sample": gap.row, "stamp": stamp, "n_lost": gap.n_lost, **common}
 
 
 def _bad(decided: Mapping[Key, Electrodes], key: Key) -> str:

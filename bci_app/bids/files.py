@@ -65,7 +65,8 @@ def write_eeglab(folder: Path, name: str, signals: Signals, rows: Sequence[Row])
         )
     types = np.array([row["trial_type"] for row in rows], dtype=object)
     onsets = np.array([row["sample"] / signals.sfreq for row in rows])
-    durations = np.array([float(row["duration"]) for row in rows])
+    # EEGLAB keeps how much is missing as the length of a boundary.
+    durations = np.array([max(0, row.get("n_lost", 0)) / signals.sfreq or float(row["duration"]) for row in rows])
     path = folder / f"{name}.set"
     export_set(
         str(path),

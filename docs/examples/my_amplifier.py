@@ -5,7 +5,38 @@ import time
 import numpy as np
 import pylsl
 
-LABELS = "Fp1 Fp2 F7 F3 Fz F4 F8 FC5 FC1 FCz FC2 FC6 T7 C3 Cz C4 T8 CP5 CP1 CP2 CP6 P7 P3 Pz P4 P8 POz O1 Oz O2".split()
+LABELS = [
+    "Fp1",
+    "Fp2",
+    "F7",
+    "F3",
+    "Fz",
+    "F4",
+    "F8",
+    "FC5",
+    "FC1",
+    "FCz",
+    "FC2",
+    "FC6",
+    "T7",
+    "C3",
+    "Cz",
+    "C4",
+    "T8",
+    "CP5",
+    "CP1",
+    "CP2",
+    "CP6",
+    "P7",
+    "P3",
+    "Pz",
+    "P4",
+    "P8",
+    "POz",
+    "O1",
+    "Oz",
+    "O2",
+]
 RATE = 250
 info = pylsl.StreamInfo("MyAmp", "EEG", len(LABELS), RATE, "float32", "MyAmp-serial-1")
 channels = info.desc().append_child("channels")

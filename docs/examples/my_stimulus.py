@@ -1,4 +1,4 @@
-"""A stimulus of one's own: one episode on an empty map, in the terminal. `python my_stimulus.py SESSION`, then bci-app."""
+"""A stimulus of one's own: one episode on an empty map, in the terminal. `python my_stimulus.py SESSION`."""
 
 import json
 import sys
