@@ -10,8 +10,8 @@ from rich.console import Console
 from typer.core import TyperGroup
 
 from bci_app import threads  # noqa: F401  isort: skip  -- before anything loads linear algebra
+from bci_app import bids_cli, policy_cli, process_cli
 from bci_app import config as configuration
-from bci_app import policy_cli, process_cli
 from bci_app.errors import LinkLost, SetupError
 from bci_app.protocol import PROTOCOL_VERSION
 from bci_app.terminal import finish, print_json, progress_bar, show_settings
@@ -361,5 +361,6 @@ def main() -> None:
     app()
 
 
+bids_cli.register(app)
 policy_cli.register(app)
 process_cli.register(app)

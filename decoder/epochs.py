@@ -124,18 +124,51 @@ def cut_one_by_one(
 
     `onsets` are on the clock of the EEG's stamps, s.
     """
-    edges = [0, *segment_starts(times).tolist(), len(times)]
-    segments = [
-        Segment(samples[a:b], times[a:b], np.maximum.accumulate(times[a:b]), float(times[a]), False, a > 0, True)
-        for a, b in pairwise(edges)
-        if b > a
-    ]
+    segments = [segment for _, segment in _segments_of(samples, times)]
     never = Rejection("the EEG ends before the onset")
     for onset in onsets:
         yield locate(segments, onset, shape) or never
 
 
+def rows_of(times: Array, onsets: Sequence[float], shape: Shape) -> list[int | None]:
+    """The row of a recording's sample that is nearest to each onset, placed as an epoch's is; None where an epoch
+    couldn't be placed, for the stamps end, begin or leave a gap there."""
+    segments = list(_segments_of(np.empty((len(times), 0)), times))
+    found: list[int | None] = []
+    for onset in onsets:
+        row = None
+        for start, segment in segments:
+            if segment.first_time < onset <= segment.latest[-1]:
+                placed = _row_of(segment, onset, shape)
+                row = start + placed if isinstance(placed, int) else None
+                break
+        found.append(row)
+    return found
+
+
+def _segments_of(samples: NDArray[np.floating], times: Array) -> Iterator[tuple[int, Segment]]:
+    """A recording's segments, and the row at which each begins."""
+    for a, b in pairwise([0, *segment_starts(times).tolist(), len(times)]):
+        if b > a:
+            latest = np.maximum.accumulate(times[a:b])
+            yield a, Segment(samples[a:b], times[a:b], latest, float(times[a]), False, a > 0, True)
+
+
 def _cut(segment: Segment, onset: float, shape: Shape) -> Epoch | Rejection | None:
+    row = _row_of(segment, onset, shape)
+    if not isinstance(row, int):
+        return row
+    stretch = slice(row - shape.n_before, row + shape.n_after)
+    outside = _outside(segment, stretch, onset)
+    if outside is not None:
+        return outside
+    if stretch.stop > len(segment.times):
+        return None
+    return _whole(segment.samples[stretch], segment.times[stretch], shape)
+
+
+def _row_of(segment: Segment, onset: float, shape: Shape) -> int | Rejection | None:
+    """The segment's row that is nearest to the onset, or why there is none, or None while samples are still to come."""
     crossing = int(np.searchsorted(segment.latest, onset))
     # Half a second on either side places the onset: symmetric, so that a rate slightly off nominal hardly matters.
     half = round(0.5 * shape.sfreq)
@@ -146,17 +179,10 @@ def _cut(segment: Segment, onset: float, shape: Shape) -> Epoch | Rejection | No
     if around.stop > len(segment.times):
         return None
     offset = offset_of_line(segment.times[around], shape.sfreq, crossing - around.start)
-    late = segment.times[crossing] + offset - onset
+    late = float(segment.times[crossing] + offset - onset)
     if abs(late) > MAX_JITTER + 0.5 / shape.sfreq:
         return Rejection(f"gap: no sample within {MAX_JITTER * 1000:.0f} ms of the onset")
-    first = crossing - round(late * shape.sfreq) - shape.n_before
-    stretch = slice(first, first + shape.n_raw)
-    outside = _outside(segment, stretch, onset)
-    if outside is not None:
-        return outside
-    if stretch.stop > len(segment.times):
-        return None
-    return _whole(segment.samples[stretch], segment.times[stretch], shape)
+    return crossing - round(late * shape.sfreq)
 
 
 def _outside(segment: Segment, stretch: slice, onset: float) -> Rejection | None:

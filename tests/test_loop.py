@@ -107,6 +107,20 @@ def test_the_eeg_is_gapless(session: Session) -> None:
     assert np.abs(np.diff(recording.times) * 500 - 1).max() < 1e-3
 
 
+def test_a_study_becomes_a_dataset_with_each_epoch_at_the_decoders_sample(
+    session: Session, cli: Cli, tmp_path: Path
+) -> None:
+    told = printed(
+        cli("export-bids", session.recording("calibration").parents[2], "--out", tmp_path / "bids", "--json")
+    )
+    assert len(told["runs"]) == 3
+    for run in told["runs"]:
+        assert run["placed"] == run["epochs"] > 0
+        assert run["samples_are"] == "to the bit"
+    channels = (tmp_path / "bids").glob("sub-*/*/*/*_channels.tsv")
+    assert all("C3\tEEG\tµV" in path.read_text(encoding="utf-8") for path in channels)
+
+
 def test_onsets_are_never_less_than_three_seconds_apart(session: Session) -> None:
     recording = read(session.recording("calibration"))
     onsets = [stamp for stamp, _ in recording.of(MoveOnset)]
