@@ -2,6 +2,7 @@
 
 import os
 import threading
+import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -82,13 +83,12 @@ def _attempt_here(number: int, job: Job, notes: Path, owner: int) -> tuple[int, 
 
     It ends where the process `owner` that waits for it was killed: nobody would read the result.
     """
+    threading.Thread(target=_end_with, args=(owner,), daemon=True).start()
     if device().type == "cuda":
         torch.cuda.set_device(number % torch.cuda.device_count())
     partial = notes / f"{number}.partial"
 
     def note(done: int, of: int, _word: str) -> None:
-        if os.name == "posix" and os.getppid() != owner:
-            os._exit(1)  # loky takes an exception for the job's, and waits for more jobs
         # Windows replaces no file that is being read, and the folder goes when the one who waits is interrupted. The
         # next note will do: nothing that is only shown may stop a training.
         with suppress(OSError):
@@ -96,6 +96,13 @@ def _attempt_here(number: int, job: Job, notes: Path, owner: int) -> tuple[int, 
             partial.replace(notes / str(number))
 
     return number, attempt(job, note)
+
+
+def _end_with(owner: int) -> None:
+    while os.name == "posix" and os.getppid() == owner:
+        time.sleep(POLL_S)
+    if os.name == "posix":
+        os._exit(1)  # loky would take an exception for the job's, and wait for more jobs
 
 
 class Watch:

@@ -301,7 +301,7 @@ def test_damage_is_refused_unless_it_is_allowed(tmp_path: Path) -> None:
     assert "is damaged" in told["left_out"][0]
     assert export_bids([path], tmp_path / "bids", About(), True, quiet)["fit"]
     described = json.loads(next((tmp_path / "bids").glob("sub-*/*/*/*_eeg.json")).read_text())
-    assert "no footer" in described["ErrpBci"]["Damage"][0]
+    assert "cut off before it was closed" in described["ErrpBci"]["Damage"][0]
 
 
 @pytest.mark.parametrize("kind", ["brainvision", "eeglab"])
