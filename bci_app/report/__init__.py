@@ -1,7 +1,7 @@
 """The report: what recordings of a session or a study show, as tables, figures and one page.
 
-Everything goes through tables, lists of flat rows: what is computed of a recording becomes rows, figures and page are made
-of rows and of nothing else, and rows of many participants are those of each put together.
+Everything goes through tables, lists of flat rows: what is computed of a recording becomes rows, figures and page are
+made of rows and of nothing else, and rows of many participants are those of each put together.
 """
 
 from typing import Any

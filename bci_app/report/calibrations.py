@@ -71,7 +71,9 @@ def curve_rows(found: Mapping[str, Any], **where: object) -> list[Row]:
     for outlook in found.values():
         row = {**where, "n_epochs": outlook["n_epochs"]}
         for name in ("balanced_accuracy", "next_gain", "total_gain"):
-            row |= {f"{name}{'' if key == 'value' else '_' + key}": outlook[name][key] for key in ("value", "low", "high")}
+            row |= {
+                f"{name}{'' if key == 'value' else '_' + key}": outlook[name][key] for key in ("value", "low", "high")
+            }
         rows.append(row | {"sentence": outlook["sentence"]})
     return rows
 
@@ -85,4 +87,3 @@ def judged_online(log_odds: Array, evidence: Array, error: Labels) -> dict[str, 
         return None
     found = score(log_odds, error).as_dict()
     return found | {"reliability": None if np.isnan(evidence).any() else reliability(evidence, error).as_dict()}
-

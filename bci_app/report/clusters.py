@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bci_app.report import Row, distinct, those
 from bci_app.report.erp import FEWEST
-from bci_app.report.waveforms import Waveforms
+from bci_app.report.waveforms import Waveforms, nearest
 
 Array = NDArray[np.float64]
 
@@ -30,15 +30,17 @@ COMPARISONS = (
 
 
 def cluster_rows(waves: Waveforms, **where: object) -> list[Row]:
-    """Within one participant: trials against trials, at each channel. A row for each cluster with p below `ALPHA`, and
-    one without a beginning where a comparison was made and found none."""
+    """Within one participant: trials against trials. A row for each cluster with p below `ALPHA`, and one without a
+    beginning where a comparison was made and found none."""
     area = np.array([move["area"] for move in waves.moves])
     after = waves.times_ms >= 0
     rows = []
     for number, channel in enumerate(waves.picks):
         trials = waves.trials[:, number][:, after]
         for name, first, second in COMPARISONS:
-            in_first, in_second = (np.ones(len(area), bool) if each == "all" else area == each for each in (first, second))
+            if not _is_for(name, channel, waves.picks):
+                continue
+            in_first, in_second = (np.isin(area, AREAS if each == "all" else (each,)) for each in (first, second))
             one = trials[waves.error & in_first]
             other = trials[waves.error & in_second] if first != second else trials[~waves.error & in_second]
             if min(len(one), len(other)) >= FEWEST:
@@ -47,14 +49,22 @@ def cluster_rows(waves: Waveforms, **where: object) -> list[Row]:
     return rows
 
 
+def _is_for(comparison: str, channel: str, picks: Sequence[str]) -> bool:
+    """Over all moves Fz is looked at, as in Fig. 9, in the areas FCz, as in Fig. 11."""
+    return channel == nearest("Fz" if comparison.endswith("all") else "FCz", picks)
+
+
 def group_cluster_rows(rows: Sequence[Row], **where: object) -> list[Row]:
     """Over participants: their means of `report.erp.mean_rows` against each other, in pairs.
 
     Nothing with fewer than `FEWEST_PARTICIPANTS`, for then no cluster could be significant.
     """
     found: list[Row] = []
-    for channel in distinct(list(rows), "channel"):
+    channels = distinct(list(rows), "channel")
+    for channel in channels:
         for name, first, second in COMPARISONS:
+            if not _is_for(name, channel, channels):
+                continue
             kind = "difference" if first == second else "error"
             times, one = _of_participants(rows, first, kind, channel)
             _, other = _of_participants(rows, second, kind, channel)
@@ -69,9 +79,7 @@ def group_cluster_rows(rows: Sequence[Row], **where: object) -> list[Row]:
     return found
 
 
-def _of_participants(
-    rows: Sequence[Row], area: str, condition: str, channel: str
-) -> tuple[Array, dict[str, Array]]:
+def _of_participants(rows: Sequence[Row], area: str, condition: str, channel: str) -> tuple[Array, dict[str, Array]]:
     mine = [
         row
         for row in rows

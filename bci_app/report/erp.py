@@ -13,8 +13,8 @@ from decoder.calibration import Z95
 Array = NDArray[np.float64]
 
 PEAKS = {"negative 200": (150.0, 250.0, -1), "positive 300": (250.0, 350.0, 1), "negative 400": (350.0, 500.0, -1)}
-"""Where each peak of the difference wave is looked for, ms, and its sign. The paper's are "approximately" at 200, 300 and
-400 ms (V.B.1); the windows are decided."""
+"""Where each peak of the difference wave is looked for, ms, and its sign. The paper's are "approximately" at 200, 300
+and 400 ms (V.B.1); the windows are decided."""
 MAPS_MS = (200.0, 300.0, 400.0)
 """Moments of the maps over the head (paper's peaks)."""
 MAP_WIDTH_MS = 20.0
@@ -26,8 +26,8 @@ FEWEST = 5
 def mean_rows(waves: Waveforms, trials: NDArray[np.bool_], **where: object) -> list[Row]:
     """Means of error and correct moves and their difference, at each moment, of some trials, (n_trials,).
 
-    ``sd_uv`` is over trials, ``low_uv`` and ``high_uv`` the 95 % interval of the mean. A kind of move with fewer than two
-    trials has no rows.
+    ``sd_uv`` is over trials, ``low_uv`` and ``high_uv`` the 95 % interval of the mean. A kind of move with fewer than
+    two trials has no rows.
     """
     rows = []
     for number, channel in enumerate(waves.picks):

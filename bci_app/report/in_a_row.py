@@ -1,8 +1,8 @@
 """The error potential's size against the number of errors in a row (paper V.C.4, Fig. 13).
 
-The paper takes the difference of the positive and the negative peak of each mean. A mean of few trials has large peaks by
-chance, so that grows where trials get few, as they do after many errors. Beside it stands a measure that doesn't: the
-mean of each single trial around the two peaks' places, which are the same for all.
+The paper takes the difference of the positive and the negative peak of each mean. A mean of few trials has large peaks
+by chance, so that grows where trials get few, as they do after many errors. Beside it stands a measure that doesn't:
+the mean of each single trial around the two peaks' places, which are the same for all.
 """
 
 from collections.abc import Sequence
@@ -99,7 +99,9 @@ def group_trend(rows: Sequence[Row]) -> list[Row]:
         interval = mean_interval(slopes)
         values = {"slope": interval["mean"], "low": interval["low"], "high": interval["high"]}
         p = float(stats.ttest_1samp(slopes, 0).pvalue)
-        found.append({"participant": "all", "source": source, **values, "p": p, "n": len(slopes), "unit": "participants"})
+        found.append(
+            {"participant": "all", "source": source, **values, "p": p, "n": len(slopes), "unit": "participants"}
+        )
     return found
 
 

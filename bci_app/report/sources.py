@@ -1,4 +1,4 @@
-"""Which recordings a report is about: files found, told apart by participant and visit, runs that go on put together."""
+"""Which recordings a report is about: found, told apart by participant and visit, runs that go on put together."""
 
 import re
 from collections.abc import Iterator, Sequence

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from bci_app.gridworld import STEP, ACTIONS
+from bci_app.gridworld import ACTIONS, STEP
 from bci_app.metrics import truths
 from bci_app.protocol import EpisodeEnd, EpisodeGoal, EpisodeStart, MoveOnset, SessionStart, Truth
 from bci_app.recording import Recording
@@ -22,8 +22,8 @@ def area_of(position: tuple[int, int], height: int, width: int, border: int = BO
 def move_rows(recording: Recording) -> list[Row]:
     """One row a move, in order: where it led, whether it was an error, what the verdict was.
 
-    ``error`` is None without a truth; ``errors_in_a_row`` counts the errors of an episode that end with this one, 0 for a
-    correct move. The area is that of the cell moved to, which the person looks at.
+    ``error`` is None without a truth; ``errors_in_a_row`` counts the errors of an episode that end with this one, 0 for
+    a correct move. The area is that of the cell moved to, which the person looks at.
     """
     known, verdicts = truths(recording), recording.verdicts
     left = {(truth.episode, truth.step): truth.distance for _, truth in recording.of(Truth)}

@@ -71,9 +71,7 @@ def waveform_chain(chain: ChainConfig) -> ChainConfig:
     """
     width = 1000 / chain.sfreq
     n = int((END_MS - BASELINE_MS[0]) / width) + 1
-    return chain.model_copy(
-        update={"phase": "linear", "start_ms": BASELINE_MS[0], "window_ms": width, "n_windows": n}
-    )
+    return chain.model_copy(update={"phase": "linear", "start_ms": BASELINE_MS[0], "window_ms": width, "n_windows": n})
 
 
 def nearest(wanted: str, channels: Sequence[str]) -> str:
@@ -159,19 +157,13 @@ class _Gathered:
         for part in (totals, trials):
             part -= part[..., base].mean(axis=-1, keepdims=True)
         error = np.array([move["error"] for move in self._moves], dtype=bool)
-        return Waveforms(
-            times_ms, self.picks, tuple(self._moves), error, trials, self.channels, totals, self.n_without
-        )
+        return Waveforms(times_ms, self.picks, tuple(self._moves), error, trials, self.channels, totals, self.n_without)
 
 
 def together(parts: Sequence[Waveforms]) -> Waveforms:
     """Several recordings' waveforms as one; of those with other channels or rates than the first only the count."""
     first = parts[0]
-    same = [
-        part
-        for part in parts
-        if part.channels == first.channels and np.array_equal(part.times_ms, first.times_ms)
-    ]
+    same = [part for part in parts if part.channels == first.channels and np.array_equal(part.times_ms, first.times_ms)]
     others = sum(len(part.moves) for part in parts if part not in same)
     return Waveforms(
         first.times_ms,
