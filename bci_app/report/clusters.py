@@ -6,11 +6,13 @@ differences everywhere by chance; a test of clusters looks at all of them at onc
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bci_app.report import Row, distinct, those
+from bci_app.report.areas import AREAS
 from bci_app.report.erp import FEWEST
 from bci_app.report.waveforms import Waveforms, nearest
 
@@ -114,7 +116,7 @@ def _within(paired: Array) -> list[tuple[slice, float, float]]:
     return _stretches(clusters, p, statistic)
 
 
-def _stretches(clusters: list[object], p: Array, t: Array) -> list[tuple[slice, float, float]]:
+def _stretches(clusters: list[Any], p: Array, t: Array) -> list[tuple[slice, float, float]]:
     """From MNE's clusters to (stretch of time, p, summed t)."""
     found = []
     for cluster, probability in zip(clusters, p, strict=True):

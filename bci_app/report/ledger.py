@@ -37,7 +37,7 @@ def samples(recording: Recording, speed: float) -> dict[str, list[float]]:
 
 
 def ledger_rows(found: Sequence[dict[str, list[float]]], **where: object) -> list[Row]:
-    """One row an entry, of all `samples` together: how many, median, 95th and 99th percentile, smallest, largest, ms."""
+    """One row an entry, of all `samples` together: how many, median, 95th and 99th percentile, least and most, ms."""
     rows = []
     for name in WHAT:
         values = np.array([value for each in found for value in each.get(name, [])])
@@ -45,6 +45,7 @@ def ledger_rows(found: Sequence[dict[str, list[float]]], **where: object) -> lis
             median, most, nearly_all = np.percentile(values, (50, 95, 99)).tolist()
             spread = {"min_ms": float(values.min()), "max_ms": float(values.max())}
             numbers = {"n": len(values), "p50_ms": median, "p95_ms": most, "p99_ms": nearly_all}
+            spread = {"min_ms": float(values.min()), "max_ms": float(values.max())}
             rows.append({**where, "what": name, **numbers, **spread})
     return rows
 

@@ -47,8 +47,9 @@ class Seen:
 def see(visit: Visit, allow_damage: bool, progress: Callable[[str], None] = lambda _: None) -> Seen:
     """Look at all runs of a visit.
 
-    Raises SetupError for a recording that isn't ours, that is damaged (unless `allow_damage`) or that isn't the file that
-    was recorded. What a run doesn't allow, for there is no decoder, no truth or only one kind of move, is said in `events`.
+    Raises SetupError for a recording that isn't ours, that is damaged (unless `allow_damage`) or that isn't the file
+    that was recorded. What a run doesn't allow, for there is no decoder, no truth or only one kind of move, is said in
+    `events`.
     """
     look = _Look(visit)
     for run in visit.runs:

@@ -150,8 +150,8 @@ class _Gathered:
         """All of them through the chain."""
         base = (times_ms >= BASELINE_MS[0]) & (times_ms < BASELINE_MS[1])
         totals = np.zeros((2, len(self.channels), len(times_ms)))
-        for (_, error), (spatial, data) in self._sums.items():
-            totals[int(error)] += spatial @ (data.T @ operator)
+        for (_, kind), (spatial, data) in self._sums.items():
+            totals[int(kind)] += spatial @ (data.T @ operator)
         raw = np.array(self._raw).reshape(-1, self._n_raw, len(self.picks)).transpose(0, 2, 1)
         trials = np.asarray(raw @ operator)
         for part in (totals, trials):
