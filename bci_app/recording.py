@@ -21,6 +21,10 @@ log = logging.getLogger(__name__)
 M = TypeVar("M", bound=Message)
 
 
+class NotOurs(SetupError):
+    """A whole recording of something else."""
+
+
 @dataclass(frozen=True)
 class Stamped:
     """A recorded message and its session time."""
@@ -80,7 +84,7 @@ def read(path: Path, allow_damage: bool = False, eeg_type: str = "EEG") -> Recor
     if not messages:
         names = ", ".join(spec.name for spec in STREAMS if spec.string)
         also = f" It is damaged as well: {' '.join(damage)}" if damage else ""
-        raise SetupError(f"{path} holds no messages of ours (streams {names}): it isn't our experiment's run.{also}")
+        raise NotOurs(f"{path} holds no messages of ours (streams {names}): it isn't our experiment's run.{also}")
     if damage and not allow_damage:
         raise SetupError(f"{path} is damaged: {' '.join(damage)} What is left can be read with --allow-damage.")
     samples = np.asarray(stream["time_series"])

@@ -31,6 +31,7 @@ def table_one(scores: Sequence[Row], runs: Sequence[Row]) -> list[Row]:
                     name = f"{source}_{measure}{'' if key == 'value' else '_' + key}"
                     row[name] = found[0][key] if len(found) == 1 else None
         rows.append(row)
+    rows += _mean(rows)
     for number, person in enumerate(published.PEOPLE):
         values = {("tenfold" if key == "offline" else key): each[number] for key, each in published.ACCURACY.items()}
         rows.append(_published(person) | {f"{key}_accuracy": value for key, value in values.items()})
@@ -50,6 +51,7 @@ def table_two(episodes: Sequence[Row], runs: Sequence[Row]) -> list[Row]:
             row |= {f"{name}_{key}": value for key, value in summary(those(list(episodes), **who, map=name)).items()}
         if any(row.get(f"{name}_n_episodes") for name in maps):
             rows.append(row)
+    rows += _mean(rows)
     for number, person in enumerate(published.PEOPLE):
         row = _published(person)
         for name, shares in published.SUCCESS.items():
@@ -129,6 +131,18 @@ def mean_interval(values: Sequence[float]) -> dict[str, float | None]:
         return {"mean": mean, "low": None, "high": None}
     half = float(t.ppf(0.975, n - 1) * np.std(values, ddof=1) / np.sqrt(n))
     return {"mean": mean, "low": mean - half, "high": mean + half}
+
+
+def _mean(rows: Sequence[Row]) -> list[Row]:
+    """The mean of each column over several participants, as in the paper's last rows; no intervals."""
+    if len(rows) < 2:
+        return []
+    row: Row = {"series": "ours", "participant": "mean", "visit": None}
+    for name in dict.fromkeys(name for each in rows for name in each):
+        values = [each[name] for each in rows if isinstance(each.get(name), int | float)]
+        if values and not name.endswith(("_low", "_high")):
+            row[name] = float(np.mean(values))
+    return [row]
 
 
 def _who(runs: Sequence[Row]) -> list[dict[str, Any]]:

@@ -1,0 +1,183 @@
+"""What is on the page, and in which order."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+from bci_app.report import Row, Tables, distinct, figures_erp, figures_online, figures_verdicts, those, words
+from bci_app.report.drawing import Drawn, Written, percent
+from bci_app.report.page import Grid, Section
+
+Figures = Mapping[str, Written]
+
+
+def drawings(tables: Tables) -> Iterator[tuple[str, Callable[[], Drawn | None]]]:
+    """The figures a report may have: the file's name, and how it is drawn."""
+    yield "verdicts_accuracy", lambda: figures_verdicts.accuracy(tables)
+    yield "verdicts_decisions", lambda: figures_verdicts.decisions(tables)
+    yield "calibration_learning_curve", lambda: figures_verdicts.learning_curve(tables)
+    for source in ("calibration", "online"):
+        yield f"erp_{source}", lambda source=source: figures_erp.potential(tables, source)  # type: ignore[misc]
+        yield f"erp_maps_{source}", lambda source=source: figures_erp.head_maps(tables, source)  # type: ignore[misc]
+        yield f"erp_areas_{source}", lambda source=source: figures_erp.by_area(tables, source)  # type: ignore[misc]
+    yield "online_by_distance", lambda: figures_online.by_distance(tables)
+    yield "online_areas", lambda: figures_online.areas(tables)
+    yield "erp_errors_in_a_row", lambda: figures_erp.in_a_row(tables)
+    for row in those(tables.get("runs", []), task="online"):
+        yield ways_name(row), lambda row=row: figures_online.ways(tables, row["participant"], row["visit"], row["run"])  # type: ignore[misc]
+    yield "latencies", lambda: figures_online.latencies(tables)
+    yield "electrodes", lambda: figures_online.electrodes(tables)
+
+
+def ways_name(run: Row) -> str:
+    """File name of a run's ways."""
+    words = "_".join(str(run[name]) for name in ("participant", "visit", "run"))
+    return "ways_" + "".join(letter if letter.isalnum() or letter == "_" else "-" for letter in words)
+
+
+def title(tables: Tables) -> str:
+    """Of the page."""
+    people = distinct(tables["runs"], "participant")
+    visits = distinct(tables["runs"], "visit")
+    if len(people) > 1:
+        return f"Study of {len(people)} participants"
+    return f"Participant {people[0]}, session {', '.join(visits)}"
+
+
+def summary(tables: Tables, seen: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The page's first sentences."""
+    lines = []
+    for figures in seen:
+        name = f"{figures['participant']}: " if len(seen) > 1 else ""
+        parts = []
+        if calibration := figures.get("calibration"):
+            blocked = calibration["blocked"]["balanced_accuracy"]
+            parts.append(
+                f"the decoder's verdicts are right in {percent(blocked['value'])} of moves (balanced, contiguous folds, 95 % "
+                f"interval {100 * blocked['low']:.1f} to {100 * blocked['high']:.1f} %)"
+            )
+        for map_name, online in figures["online"].items():
+            if online["n_episodes"]:
+                parts.append(
+                    f"on map {map_name} {percent(online['success'])} of {online['n_episodes']} episodes reached the goal, in "
+                    f"{words.number(online['mean_steps'])} steps in the mean, with {percent(online['verdict_accuracy'])} of "
+                    "verdicts right"
+                )
+        if parts:
+            text = "; ".join(parts)
+            lines.append(f"{name}{text[0].upper()}{text[1:]}.")
+    troubles = [row for row in tables.get("events", []) if row["level"] != "info"]
+    n_errors = sum(row["level"] == "error" for row in troubles)
+    plural = "thing" if len(troubles) == 1 else "things"
+    lines.append(
+        f"{len(troubles)} {plural} went wrong or should be known, {n_errors} of them errors: see the end of the page."
+        if troubles
+        else "Nothing went wrong that the recordings know of."
+    )
+    return lines
+
+
+def sections(tables: Tables, figures: Figures, seen: Sequence[Mapping[str, Any]]) -> list[Section]:
+    """The page's parts; those with nothing to show are left out."""
+    ways = [
+        (figures[ways_name(row)].drawn.title, [figures[ways_name(row)]])
+        for row in those(tables["runs"], task="online")
+        if ways_name(row) in figures
+    ]
+    infos = words.events(tables, ("info",), "Notes that are no trouble")
+    found = [
+        Section("Runs", shown=[words.runs(tables)]),
+        Section(
+            "Verdicts",
+            _on_calibration(seen),
+            _of(
+                figures,
+                "verdicts_accuracy",
+                words.table_one(tables),
+                "verdicts_decisions",
+                "calibration_learning_curve",
+            ),
+        ),
+        Section(
+            "Online runs",
+            shown=_of(figures, words.table_two(tables), "online_by_distance", *words.tables_a(tables)),
+            folded=ways,
+        ),
+        Section(
+            "Error potential",
+            shown=_of(
+                figures, "erp_calibration", "erp_maps_calibration", "erp_online", "erp_maps_online", words.peaks(tables)
+            ),
+        ),
+        Section(
+            "Central and edge area",
+            shown=_of(figures, "online_areas", _by_area(figures), *words.area_tests(tables)),
+        ),
+        Section("Errors in a row", shown=_of(figures, "erp_errors_in_a_row", words.levels(tables))),
+        Section("Latencies", shown=_of(figures, "latencies", *words.ledger(tables))),
+        Section("Signal quality", _on_signals(tables), _of(figures, "electrodes", *words.signals(tables))),
+        Section(
+            "What went wrong",
+            [] if _troubles(tables) else ["Nothing that the recordings know of."],
+            _of(figures, _troubles(tables)),
+            [("Notes that are no trouble", [infos])] if infos else [],
+        ),
+        Section("Files", FILES),
+    ]
+    return [section for section in found if section.text or section.shown or section.folded]
+
+
+FILES = (
+    "Beside this page: figures/ holds each figure as SVG and PDF, tables/ each table as CSV and JSON, report.json the figures "
+    "as `fit`, `online` and `demo` print them. docs/report.md of the program tells every column.",
+    "The page needs nothing else and no network.",
+)
+
+
+def _by_area(figures: Figures) -> str:
+    """The waveforms by area of the online runs, as the paper; of the calibration where there are none."""
+    return "erp_areas_online" if "erp_areas_online" in figures else "erp_areas_calibration"
+
+
+def _troubles(tables: Tables) -> Grid | None:
+    return words.events(tables, ("error", "warning"), "Errors and warnings")
+
+
+def _of(figures: Figures, *wanted: str | Grid | None) -> list[Written | Grid]:
+    """Figures by their names, and tables, as far as they are there."""
+    found: list[Written | Grid] = []
+    for item in wanted:
+        if isinstance(item, Grid):
+            found.append(item)
+        elif item in figures:
+            found.append(figures[item])
+    return found
+
+
+def _on_calibration(seen: Sequence[Mapping[str, Any]]) -> list[str]:
+    lines = []
+    for figures in seen:
+        calibration = figures.get("calibration")
+        if not calibration:
+            continue
+        session, evidence = calibration["session"], calibration["evidence"]
+        expected, name = session["accuracy"], f"{figures['participant']}: " if len(seen) > 1 else ""
+        alone = calibration["eyes"]["alone"]
+        eyes = f" By the eyes alone the area under the ROC curve is {alone['auc']['value']:.2f}." if alone else ""
+        lines.append(
+            f"{name}{calibration['n_valid']} of {calibration['n_moves']} moves gave valid epochs, {calibration['n_error']} of "
+            f"errors. A verdict tells {evidence['information']:.2f} bits. An online run of {session['n_moves']} moves may "
+            f"expect an accuracy of {100 * expected['low']:.0f} to {100 * expected['high']:.0f} %.{eyes} "
+            f"{calibration['eyes']['correction']}"
+        )
+    return lines
+
+
+def _on_signals(tables: Tables) -> list[str]:
+    lines = [] if tables.get("electrodes") else ["No electrode was found bad."]
+    for row in tables.get("waveforms", []):
+        if row["n_without"]:
+            lines.append(
+                f"{words.who(row)}, {row['source']}: {row['n_without']} moves have no waveform, for samples around them are "
+                "missing or they were rejected."
+            )
+    return lines

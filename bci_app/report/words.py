@@ -1,0 +1,268 @@
+"""Rows of tables in words, as people read them in a page."""
+
+from collections.abc import Sequence
+
+from bci_app.report import Row, Tables, distinct, those
+from bci_app.report.drawing import percent, words
+from bci_app.report.ledger import WHAT
+from bci_app.report.online import PEOPLE
+from bci_app.report.page import Grid
+
+SHOWN = 200
+"""Lines of a long table that the page shows; its CSV has all."""
+
+
+def number(value: float | None, digits: int = 1) -> str:
+    """A number for people; a dash where there is none."""
+    return "–" if value is None else f"{value:.{digits}f}".replace("-", "−")
+
+
+def with_bounds(row: Row, name: str) -> str:
+    """A share with its interval, where one is known."""
+    value, low, high = (row.get(f"{name}{end}") for end in ("", "_low", "_high"))
+    if value is None:
+        return "–"
+    return percent(value) if low is None or high is None else f"{percent(value)} [{100 * low:.1f}, {100 * high:.1f}]"
+
+
+def who(row: Row) -> str:
+    """A participant, with the visit where it isn't the first."""
+    name = str(row["participant"])
+    return name if row.get("visit") in (None, "S001") else f"{name} {row['visit']}"
+
+
+def runs(tables: Tables) -> Grid:
+    """All runs, a line each."""
+    head = ("Participant", "Run", "Map", "Moves", "Minutes", "Ended", "Policy", "Participant is", "Amplifier")
+    rows = [
+        (
+            who(row),
+            row["run"],
+            row["map"],
+            str(row["n_moves"]),
+            number(row["seconds"] / 60),
+            row["ended"],
+            row["policy"] or "–",
+            {True: "simulated", False: "a person", None: "not known"}[row["simulated"]],
+            f"{row['amplifier']}, {row['n_channels']} channels, {row['sfreq_hz']:g} Hz",
+        )
+        for row in tables["runs"]
+    ]
+    return Grid("Runs", head, rows)
+
+
+def table_one(tables: Tables) -> Grid:
+    """Table I."""
+    rows = tables["table_1"]
+    measures = {"accuracy": "", "balanced_accuracy": "balanced, ", "auc": "area under the ROC, "}
+    columns = {
+        f"{source}_{measure}": f"{extra}{words(source)}"
+        for measure, extra in measures.items()
+        for source in ("tenfold", "contiguous", *_maps(tables))
+        if any(row.get(f"{source}_{measure}") is not None for row in rows)
+    }
+    lines = [(_whose(row), *(with_bounds(row, name) for name in columns)) for row in rows]
+    return Grid(
+        "Table I: how often verdicts are right",
+        ("Participant", *(text[0].upper() + text[1:] for text in columns.values())),
+        lines,
+        _quiet(rows),
+        "95 % intervals in brackets. Italics: the paper's numbers, of people, with its own decoder; its offline accuracy is "
+        "of tenfold cross-validation. Plain accuracy flatters where one kind of move is rare.",
+    )
+
+
+def table_two(tables: Tables) -> Grid | None:
+    """Table II."""
+    rows = tables.get("table_2", [])
+    if not rows:
+        return None
+    maps = [name for name in _maps(tables) if any(row.get(f"{name}_n_episodes") for row in rows)]
+    head = ["Participant"]
+    for name in maps:
+        head += [f"Success, {name}", f"Steps of successes, {name}", f"Steps of all, {name}"]
+    lines = []
+    for row in rows:
+        cells = [_whose(row)]
+        for name in maps:
+            mean, sd = row.get(f"{name}_mean_steps"), row.get(f"{name}_sd_steps")
+            steps = "–" if mean is None else f"{mean:.2f}" + ("" if sd is None else f" ± {sd:.2f}")
+            cells += [with_bounds(row, f"{name}_success"), steps, number(row.get(f"{name}_mean_steps_all"), 2)]
+        lines.append(cells)
+    return Grid(
+        "Table II: success and steps",
+        head,
+        lines,
+        _quiet(rows),
+        "Success within the limit of steps with Wilson's 95 % interval; mean ± standard deviation of the steps of episodes "
+        "that reached the goal, as in the paper; failed episodes count with their steps in the last column. Italics: the "
+        "paper's numbers, of people.",
+    )
+
+
+def tables_a(tables: Tables) -> list[Grid]:
+    """Tables A1, A2, and of other maps."""
+    grids = []
+    for name in _maps(tables):
+        rows = tables.get(f"table_a_{name}", [])
+        if not rows:
+            continue
+        distances = [key for key in dict.fromkeys(key for row in rows for key in row) if key.startswith("distance_")]
+        head = ("Participant", *(key.removeprefix("distance_") for key in distances), "Failed")
+        lines = [(_whose(row), *(row.get(key) or "–" for key in distances), str(row["failed"])) for row in rows]
+        label = {"open": "Table A1", "obstacles": "Table A2"}.get(name, "Table A")
+        note = "Columns are initial distances to the goal. Italics: failed episodes of 19 in the paper, of people."
+        grids.append(Grid(f"{label}: steps of each episode, map {name}", head, lines, _quiet(rows), note))
+    return grids
+
+
+def peaks(tables: Tables) -> Grid | None:
+    """Peaks of the difference waves."""
+    rows = tables.get("erp_peaks", [])
+    lines = [
+        (
+            who(row),
+            row["source"],
+            row["channel"],
+            row["peak"],
+            f"{row['time_ms']:.0f}",
+            f"{number(row['mean_uv'])} [{number(row['low_uv'])}, {number(row['high_uv'])}]",
+        )
+        for row in rows
+    ]
+    head = ("Participant", "Moves of", "Channel", "Peak", "At (ms)", "Amplitude (µV)")
+    note = "Of error less correct. The interval is that of the mean at this moment; where the peak is was picked by its size."
+    return Grid("Peaks of the difference wave", head, lines, note=note) if rows else None
+
+
+def area_tests(tables: Tables) -> list[Grid]:
+    """Accuracies by area against each other, and where waveforms differ."""
+    grids = []
+    rows = tables.get("area_test", [])
+    if rows:
+        lines = [
+            (
+                who(row),
+                row["map"],
+                percent(row["central"]),
+                percent(row["edge"]),
+                f"{number(100 * row['difference'])} [{number(100 * row['low'])}, {number(100 * row['high'])}]",
+                f"{row['p']:.3f}",
+                f"{row['test']}, {row['n']} {row['unit']}",
+            )
+            for row in rows
+        ]
+        head = ("Participant", "Map", "Central", "Edge", "Difference (points)", "p", "Test")
+        grids.append(Grid("Right verdicts, central against edge area", head, lines))
+    clusters = tables.get("erp_clusters", [])
+    if clusters:
+        lines = [
+            (
+                who(row),
+                row["source"],
+                row["channel"],
+                row["comparison"],
+                "none" if row["begin_ms"] is None else f"{row['begin_ms']:.0f} to {row['end_ms']:.0f}",
+                f"{row['p']:.3f}",
+                f"{row['n']} {row['unit']}",
+            )
+            for row in clusters
+        ]
+        head = ("Participant", "Moves of", "Channel", "Comparison", "Differs at (ms)", "p", "Of")
+        note = (
+            "Cluster-based permutation tests with 1000 permutations; where there is no cluster, p is the least found."
+        )
+        grids.append(Grid("Where waveforms differ", head, lines, note=note))
+    return grids
+
+
+def levels(tables: Tables) -> Grid | None:
+    """Sizes by errors in a row."""
+    rows = tables.get("errors_in_a_row", [])
+    lines = [
+        (
+            who(row),
+            row["source"],
+            str(row["errors_in_a_row"]),
+            str(row["n"]),
+            f"{number(row['mean'])} [{number(row['low'])}, {number(row['high'])}]",
+            number(row["peak_to_peak"]),
+        )
+        for row in rows
+    ]
+    head = ("Participant", "Moves of", "Errors in a row", "n", "Mean around the peaks (µV)", "Peak to peak (µV)")
+    return Grid("Size of the error potential by errors in a row", head, lines) if rows else None
+
+
+def ledger(tables: Tables) -> list[Grid]:
+    """Latencies, and what they are of."""
+    rows = tables.get("latency", [])
+    if not rows:
+        return []
+    lines = [
+        (
+            f"{who(row)}, {row['run']}",
+            row["what"],
+            str(row["n"]),
+            *(number(row[f"{name}_ms"], 2) for name in ("min", "p50", "p95", "p99", "max")),
+        )
+        for row in rows
+    ]
+    head = ("Run", "What", "n", "Least", "Median", "95 %", "99 %", "Largest")
+    known = distinct(rows, "what")
+    return [
+        Grid("Latency ledger, ms", head, lines),
+        Grid("What is in the ledger", ("What", "Meaning"), [(name, WHAT[name]) for name in known]),
+    ]
+
+
+def signals(tables: Tables) -> list[Grid]:
+    """Bad electrodes and rejected moves."""
+    grids = []
+    rows = tables.get("electrodes", [])
+    if rows:
+        head = ("Run", "Channel", "Faults", "Moves while it was bad")
+        lines = [(f"{who(r)}, {r['run']}", r["channel"], r["faults"], percent(r["share_of_moves"])) for r in rows]
+        grids.append(Grid("Bad electrodes", head, lines[:SHOWN], note=_more(lines)))
+    rows = tables.get("rejected", [])
+    if rows:
+        head = ("Run", "Moves", "Reason", "Number", "Of")
+        lines = [(f"{who(r)}, {r['run']}", r["outcome"], r["reason"], str(r["n"]), str(r["of"])) for r in rows]
+        note = "valid: a calibration's epochs that could be judged; judged: verdicts; rejected: epochs that couldn't be judged."
+        grids.append(Grid("Moves and their epochs", head, lines[:SHOWN], note=f"{note} {_more(lines)}".strip()))
+    return grids
+
+
+def events(tables: Tables, levels: Sequence[str], caption: str) -> Grid | None:
+    """What went wrong, of these levels."""
+    rows = [row for row in tables.get("events", []) if row["level"] in levels]
+    lines = [
+        (
+            f"{who(row)}, {row['run']}",
+            "–" if row["time_s"] is None else f"{row['time_s']:.1f}",
+            row["kind"],
+            row["level"],
+            row["role"],
+            row["text"],
+        )
+        for row in rows
+    ]
+    head = ("Run", "At (s)", "Kind", "Level", "Who says so", "What")
+    note = f"Seconds of session time since the run's first message. {_more(lines)}".strip()
+    return Grid(caption, head, lines[:SHOWN], note=note) if lines else None
+
+
+def _more(lines: Sequence[object]) -> str:
+    return f"The first {SHOWN} of {len(lines)}; the CSV has all." if len(lines) > SHOWN else ""
+
+
+def _maps(tables: Tables) -> list[str]:
+    return distinct(those(tables["runs"], task="online"), "map")
+
+
+def _whose(row: Row) -> str:
+    return f"{row['participant']} (published)" if row["series"] == PEOPLE else who(row)
+
+
+def _quiet(rows: Sequence[Row]) -> frozenset[int]:
+    return frozenset(place for place, row in enumerate(rows) if row["series"] == PEOPLE)
