@@ -18,7 +18,8 @@ def drawings(tables: Tables) -> Iterator[tuple[str, Callable[[], Drawn | None]]]
     for source in ("calibration", "online"):
         yield f"erp_{source}", lambda source=source: figures_erp.potential(tables, source)  # type: ignore[misc]
         yield f"erp_maps_{source}", lambda source=source: figures_erp.head_maps(tables, source)  # type: ignore[misc]
-        yield f"erp_areas_{source}", lambda source=source: figures_erp.by_area(tables, source)  # type: ignore[misc]
+    # By area the online runs are looked at, as in the paper; a calibration where there are none.
+    yield "erp_areas", lambda: figures_erp.by_area(tables, "online") or figures_erp.by_area(tables, "calibration")
     yield "online_by_distance", lambda: figures_online.by_distance(tables)
     yield "online_areas", lambda: figures_online.areas(tables)
     yield "erp_errors_in_a_row", lambda: figures_erp.in_a_row(tables)
@@ -93,6 +94,7 @@ def sections(tables: Tables, figures: Figures, seen: Sequence[Mapping[str, Any]]
                 figures,
                 "verdicts_accuracy",
                 words.table_one(tables),
+                words.beside_table_one(tables),
                 "verdicts_decisions",
                 "calibration_learning_curve",
             ),
@@ -110,7 +112,7 @@ def sections(tables: Tables, figures: Figures, seen: Sequence[Mapping[str, Any]]
         ),
         Section(
             "Central and edge area",
-            shown=_of(figures, "online_areas", _by_area(figures), *words.area_tests(tables)),
+            shown=_of(figures, "online_areas", "erp_areas", *words.area_tests(tables)),
         ),
         Section("Errors in a row", shown=_of(figures, "erp_errors_in_a_row", words.levels(tables))),
         Section("Latencies", shown=_of(figures, "latencies", *words.ledger(tables))),
@@ -133,11 +135,6 @@ FILES = (
 )
 
 
-def _by_area(figures: Figures) -> str:
-    """The waveforms by area of the online runs, as the paper; of the calibration where there are none."""
-    return "erp_areas_online" if "erp_areas_online" in figures else "erp_areas_calibration"
-
-
 def _troubles(tables: Tables) -> Grid | None:
     return words.events(tables, ("error", "warning"), "Errors and warnings")
 
@@ -148,7 +145,7 @@ def _of(figures: Figures, *wanted: str | Grid | None) -> list[Written | Grid]:
     for item in wanted:
         if isinstance(item, Grid):
             found.append(item)
-        elif item in figures:
+        elif item is not None and item in figures:
             found.append(figures[item])
     return found
 

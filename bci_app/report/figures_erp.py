@@ -127,11 +127,11 @@ def head_maps(tables: Tables, source: str) -> Drawn | None:
     )
 
 
-def head_map(axes: Axes, values: np.ndarray, names: list[str], **look: Any) -> Any:
-    """A map over the head through MNE; `names` as its template spells them. The image, for a colour bar."""
+def head_map(axes: Axes, values: np.ndarray, channels: list[str], **look: Any) -> Any:
+    """A map over the head through MNE; `channels` as its template spells them. The image, for a colour bar."""
     import mne
 
-    info = mne.create_info(names, 256.0, "eeg")
+    info = mne.create_info(channels, 256.0, "eeg")
     info.set_montage(template())
     with mne.use_log_level("error"):
         image, _ = mne.viz.plot_topomap(values, info, axes=axes, show=False, contours=4, res=48, **look)
@@ -167,7 +167,7 @@ def by_area(tables: Tables, source: str) -> Drawn | None:
             _zero(axes)
             axes.set(xlabel="time after the move (ms)", xlim=(-100, time[-1]))
         grid[0, 0].set_ylabel(f"{channel} (µV)")
-        handles = [Line2D([], [], label=name, **CONDITIONS[name]) for name in ("error", "correct")]
+        handles: list[Any] = [Line2D([], [], label=name, **CONDITIONS[name]) for name in ("error", "correct")]
         handles += [
             Line2D([], [], label=f"{name} area", linestyle=line, color=AREA_LOOKS[name]["color"])
             for name, line in zip(names, ("-", "--"), strict=True)
@@ -201,7 +201,7 @@ def _shade(axes: Axes, clusters: Sequence[Row]) -> None:
 
 def _size(wave: Sequence[Row]) -> float:
     inside = [row["mean_uv"] for row in wave if 150 <= row["time_ms"] <= 350]
-    return max(inside) - min(inside)
+    return float(max(inside) - min(inside))
 
 
 def in_a_row(tables: Tables) -> Drawn | None:

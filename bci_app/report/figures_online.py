@@ -1,6 +1,7 @@
 """Figures of the online runs: ways, success and steps, areas of the map, latencies; and of the electrodes."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -125,7 +126,7 @@ def _weighted(rows: list[Row], name: str, key: str) -> tuple[list[float], None, 
     return [row[key] for row in mine], None, [row["n_episodes"] for row in mine]
 
 
-def _map_looks(maps: Sequence[str]) -> list[tuple[str, dict[str, str]]]:
+def _map_looks(maps: Sequence[str]) -> list[tuple[str, dict[str, Any]]]:
     found = looks(maps)
     return [(name, found[name]) for name in maps]
 
@@ -225,6 +226,7 @@ def latencies(tables: Tables) -> Drawn | None:
         axes.set_yticks(range(len(rows)), labels)
         axes.invert_yaxis()
         axes.set(xscale="log", xlabel="real ms")
+        axes.xaxis.set_major_formatter("{x:g}")
     told = "; ".join(f"{row['run']} {row['what']}: {row['p50_ms']:.1f} and {row['p99_ms']:.1f} ms" for row in rows[:8])
     return Drawn(
         figure,

@@ -1,5 +1,7 @@
 """Figures of the verdicts: how often they are right, of what kind their mistakes are, how far they can be believed."""
 
+from typing import Any
+
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
@@ -107,7 +109,7 @@ def _confusion(axes: Axes, rows: list[Row], source: str) -> np.ndarray:
     return counts
 
 
-def _roc(axes: Axes, rows: list[Row], style: dict[str, dict[str, str]]) -> None:
+def _roc(axes: Axes, rows: list[Row], style: dict[str, dict[str, Any]]) -> None:
     axes.plot([0, 1], [0, 1], color=GREY, linestyle=":", linewidth=1)
     for source in distinct(rows, "source"):
         colour = style[source]["color"]
@@ -125,7 +127,7 @@ def _curves(rows: list[Row]) -> list[list[Row]]:
     return [those(rows, participant=who, visit=visit, run=run) for who, visit, run in runs]
 
 
-def _reliability(axes: Axes, rows: list[Row], style: dict[str, dict[str, str]]) -> None:
+def _reliability(axes: Axes, rows: list[Row], style: dict[str, dict[str, Any]]) -> None:
     axes.plot([0, 1], [0, 1], color=GREY, linestyle=":", linewidth=1)
     several = len(distinct(rows, "participant")) > 1
     for source in distinct(rows, "source"):

@@ -48,28 +48,46 @@ def runs(tables: Tables) -> Grid:
         )
         for row in tables["runs"]
     ]
-    return Grid("Runs", head, rows)
+    return Grid("All runs", head, rows)
 
 
 def table_one(tables: Tables) -> Grid:
     """Table I."""
     rows = tables["table_1"]
-    measures = {"accuracy": "", "balanced_accuracy": "balanced, ", "auc": "area under the ROC, "}
-    columns = {
-        f"{source}_{measure}": f"{extra}{words(source)}"
-        for measure, extra in measures.items()
-        for source in ("tenfold", "contiguous", *_maps(tables))
-        if any(row.get(f"{source}_{measure}") is not None for row in rows)
-    }
-    lines = [(_whose(row), *(with_bounds(row, name) for name in columns)) for row in rows]
+    columns = _columns(tables, "accuracy")
     return Grid(
-        "Table I: how often verdicts are right",
-        ("Participant", *(text[0].upper() + text[1:] for text in columns.values())),
-        lines,
+        "Table I: right verdicts of all",
+        ("Participant", *columns.values()),
+        [(_whose(row), *(with_bounds(row, name) for name in columns)) for row in rows],
         _quiet(rows),
-        "95 % intervals in brackets. Italics: the paper's numbers, of people, with its own decoder; its offline accuracy is "
-        "of tenfold cross-validation. Plain accuracy flatters where one kind of move is rare.",
+        "95 % intervals in brackets. Italics: the paper's numbers, of people, with its own decoder.",
     )
+
+
+def beside_table_one(tables: Tables) -> Grid | None:
+    """What Table I lacks."""
+    rows = [row for row in tables["table_1"] if row["series"] != PEOPLE]
+    columns = {
+        f"balanced, {text[0].lower()}{text[1:]}": name for name, text in _columns(tables, "balanced_accuracy").items()
+    } | {f"area under the ROC, {text[0].lower()}{text[1:]}": name for name, text in _columns(tables, "auc").items()}
+    head = ("Participant", *(text[0].upper() + text[1:] for text in columns))
+    lines = [(_whose(row), *(with_bounds(row, name) for name in columns.values())) for row in rows]
+    note = "Plain accuracy flatters where one kind of move is rare: these don't. The paper doesn't tell them."
+    return (
+        Grid("Beside Table I: balanced accuracy and area under the ROC curve", head, lines, note=note)
+        if columns
+        else None
+    )
+
+
+def _columns(tables: Tables, measure: str) -> dict[str, str]:
+    """Columns of Table I that have something in them, and their headings."""
+    found = {f"{source}_{measure}": words(source) for source in ("tenfold", "contiguous", *_maps(tables))}
+    return {
+        name: text[0].upper() + text[1:]
+        for name, text in found.items()
+        if any(row.get(name) is not None for row in tables["table_1"])
+    }
 
 
 def table_two(tables: Tables) -> Grid | None:
@@ -109,10 +127,15 @@ def tables_a(tables: Tables) -> list[Grid]:
             continue
         distances = [key for key in dict.fromkeys(key for row in rows for key in row) if key.startswith("distance_")]
         head = ("Participant", *(key.removeprefix("distance_") for key in distances), "Failed")
-        lines = [(_whose(row), *(row.get(key) or "–" for key in distances), str(row["failed"])) for row in rows]
+        lines = [
+            (_whose(row), *(row.get(key) or "–" for key in distances), f"{row['failed']} of {row['n_episodes']}")
+            for row in rows
+            if row["series"] != PEOPLE
+        ]
         label = {"open": "Table A1", "obstacles": "Table A2"}.get(name, "Table A")
-        note = "Columns are initial distances to the goal. Italics: failed episodes of 19 in the paper, of people."
-        grids.append(Grid(f"{label}: steps of each episode, map {name}", head, lines, _quiet(rows), note))
+        people = ", ".join(f"{row['participant']} {row['failed']}" for row in rows if row["series"] == PEOPLE)
+        note = f"Columns are initial distances to the goal. {f'Failed of 19 in the paper, of people: {people}.' if people else ''}"
+        grids.append(Grid(f"{label}: steps of each episode, map {name}", head, lines, note=note.strip()))
     return grids
 
 
@@ -226,10 +249,10 @@ def signals(tables: Tables) -> list[Grid]:
         grids.append(Grid("Bad electrodes", head, lines[:SHOWN], note=_more(lines)))
     rows = tables.get("rejected", [])
     if rows:
-        head = ("Run", "Moves", "Reason", "Number", "Of")
-        lines = [(f"{who(r)}, {r['run']}", r["outcome"], r["reason"], str(r["n"]), str(r["of"])) for r in rows]
+        headings = ("Run", "Moves", "Reason", "Number", "Of")
+        moves = [(f"{who(r)}, {r['run']}", r["outcome"], r["reason"], str(r["n"]), str(r["of"])) for r in rows]
         note = "valid: a calibration's epochs that could be judged; judged: verdicts; rejected: epochs that couldn't be judged."
-        grids.append(Grid("Moves and their epochs", head, lines[:SHOWN], note=f"{note} {_more(lines)}".strip()))
+        grids.append(Grid("Moves and their epochs", headings, moves[:SHOWN], note=f"{note} {_more(moves)}".strip()))
     return grids
 
 
