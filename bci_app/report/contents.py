@@ -53,15 +53,15 @@ def summary(tables: Tables, seen: Sequence[Mapping[str, Any]]) -> list[str]:
         if calibration := figures.get("calibration"):
             blocked = calibration["blocked"]["balanced_accuracy"]
             parts.append(
-                f"the decoder's verdicts are right in {percent(blocked['value'])} of moves (balanced, contiguous folds, 95 % "
-                f"interval {100 * blocked['low']:.1f} to {100 * blocked['high']:.1f} %)"
+                f"the decoder's verdicts are right in {percent(blocked['value'])} of moves (balanced, contiguous "
+                f"folds, 95 % interval {100 * blocked['low']:.1f} to {100 * blocked['high']:.1f} %)"
             )
         for map_name, online in figures["online"].items():
             if online["n_episodes"]:
                 parts.append(
-                    f"on map {map_name} {percent(online['success'])} of {online['n_episodes']} episodes reached the goal, in "
-                    f"{words.number(online['mean_steps'])} steps in the mean, with {percent(online['verdict_accuracy'])} of "
-                    "verdicts right"
+                    f"on map {map_name} {percent(online['success'])} of {online['n_episodes']} episodes reached the "
+                    f"goal, in {words.number(online['mean_steps'])} steps in the mean, with "
+                    f"{percent(online['verdict_accuracy'])} of verdicts right"
                 )
         if parts:
             text = "; ".join(parts)
@@ -129,8 +129,8 @@ def sections(tables: Tables, figures: Figures, seen: Sequence[Mapping[str, Any]]
 
 
 FILES = (
-    "Beside this page: figures/ holds each figure as SVG and PDF, tables/ each table as CSV and JSON, report.json the figures "
-    "as `fit`, `online` and `demo` print them. docs/report.md of the program tells every column.",
+    "Beside this page: figures/ holds each figure as SVG and PDF, tables/ each table as CSV and JSON, report.json the "
+    "figures as `fit`, `online` and `demo` print them. docs/report.md of the program tells every column.",
     "The page needs nothing else and no network.",
 )
 
@@ -161,10 +161,10 @@ def _on_calibration(seen: Sequence[Mapping[str, Any]]) -> list[str]:
         alone = calibration["eyes"]["alone"]
         eyes = f" By the eyes alone the area under the ROC curve is {alone['auc']['value']:.2f}." if alone else ""
         lines.append(
-            f"{name}{calibration['n_valid']} of {calibration['n_moves']} moves gave valid epochs, {calibration['n_error']} of "
-            f"errors. A verdict tells {evidence['information']:.2f} bits. An online run of {session['n_moves']} moves may "
-            f"expect an accuracy of {100 * expected['low']:.0f} to {100 * expected['high']:.0f} %.{eyes} "
-            f"{calibration['eyes']['correction']}"
+            f"{name}{calibration['n_valid']} of {calibration['n_moves']} moves gave valid epochs, "
+            f"{calibration['n_error']} of errors. A verdict tells {evidence['information']:.2f} bits. An online run of "
+            f"{session['n_moves']} moves may expect an accuracy of {100 * expected['low']:.0f} to "
+            f"{100 * expected['high']:.0f} %.{eyes} {calibration['eyes']['correction']}"
         )
     return lines
 
@@ -174,7 +174,7 @@ def _on_signals(tables: Tables) -> list[str]:
     for row in tables.get("waveforms", []):
         if row["n_without"]:
             lines.append(
-                f"{words.who(row)}, {row['source']}: {row['n_without']} moves have no waveform, for samples around them are "
-                "missing or they were rejected."
+                f"{words.who(row)}, {row['source']}: {row['n_without']} moves have no waveform, for samples around "
+                "them are missing or they were rejected."
             )
     return lines

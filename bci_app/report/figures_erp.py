@@ -184,9 +184,9 @@ def by_area(tables: Tables, source: str) -> Drawn | None:
         f"Error potential by area, {WHERE[source]}",
         f"Waveforms at {channel} in the central and the edge area. From the negative to the positive peak of the "
         f"difference: {told}. Error moves, central against edge: {tested}.",
-        "As the paper's Fig. 11. Edge: within two cells of the wall (decided; the paper's Fig. 10 is a drawing). Shaded: "
-        "clusters in which error and correct moves differ (permutation test). Bands: 95 % intervals. Error moves in the "
-        f"central area against those at the edge: {tested}.",
+        "As the paper's Fig. 11. Edge: within two cells of the wall (decided; the paper's Fig. 10 is a drawing). "
+        "Shaded: clusters in which error and correct moves differ (permutation test). Bands: 95 % intervals. Error "
+        f"moves in the central area against those at the edge: {tested}.",
     )
 
 
@@ -232,7 +232,8 @@ def in_a_row(tables: Tables) -> Drawn | None:
         axes.legend(loc="best")
     trend = those(tables.get("errors_in_a_row_trend", []), source=source, participant=person)
     slope = "".join(
-        f" Over the first four: {row['slope']:+.2f} µV an error [{row['low']:+.2f}, {row['high']:+.2f}], p = {row['p']:.3f}."
+        f" Over the first four: {row['slope']:+.2f} µV an error [{row['low']:+.2f}, {row['high']:+.2f}], p = "
+        f"{row['p']:.3f}."
         for row in trend
     )
     told = "; ".join(f"{row['errors_in_a_row']}: {row['mean']:.1f} µV" for row in rows)
@@ -240,8 +241,8 @@ def in_a_row(tables: Tables) -> Drawn | None:
         figure,
         f"Error potential and errors in a row, {WHERE[source]}",
         f"Size by errors in a row. {told}.{slope}",
-        "As the paper's Fig. 13. A mean of few moves has large peaks by chance, so the paper's measure (diamonds) grows "
-        f"where moves are few; the mean of each move around the peaks (dots, 95 % intervals) doesn't.{slope}",
+        "As the paper's Fig. 13. A mean of few moves has large peaks by chance, so the paper's measure (diamonds) "
+        f"grows where moves are few; the mean of each move around the peaks (dots, 95 % intervals) doesn't.{slope}",
     )
 
 

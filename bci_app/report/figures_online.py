@@ -152,16 +152,17 @@ def areas(tables: Tables) -> Drawn | None:
     group = those(tests, participant="all") or tests
     told = "; ".join(
         f"{title(row['map']).lower()}: central {percent(row['central'])}, edge {percent(row['edge'])}, difference "
-        f"{100 * row['difference']:+.1f} points [{100 * row['low']:+.1f}, {100 * row['high']:+.1f}], p = {row['p']:.3f} "
-        f"({row['test']})"
+        f"{100 * row['difference']:+.1f} points [{100 * row['low']:+.1f}, {100 * row['high']:+.1f}], p = "
+        f"{row['p']:.3f} ({row['test']})"
         for row in group
     )
     return Drawn(
         figure,
         "Verdicts in the central and in the edge area",
         f"Maps with the two areas, and accuracies in each. {told}.",
-        f"As the paper's Fig. 10 and 12. A move counts where it led. Edge: within {BORDER} cells of the wall (decided; the "
-        f"paper's Fig. 10 is a drawing without numbers, and it tells no test). Bars: Wilson's 95 % intervals. {told}.",
+        f"As the paper's Fig. 10 and 12. A move counts where it led. Edge: within {BORDER} cells of the wall (decided; "
+        "the paper's Fig. 10 is a drawing without numbers, and it tells no test). Bars: Wilson's 95 % intervals. "
+        f"{told}.",
     )
 
 
@@ -232,9 +233,9 @@ def latencies(tables: Tables) -> Drawn | None:
         figure,
         "Latencies of the loop",
         f"Ranges on a logarithmic axis. Median and 99th percentile: {told}.",
-        "Dot: median; thick: from the least to the 95th percentile; tick: 99th percentile; thin: to the largest. Verdict: from "
-        "the arrival of a move's last EEG sample to the verdict. Policy: from the verdict's arrival to the action. Action: "
-        "from verdict to action as both were sent, so with the way between the two processes.",
+        "Dot: median; thick: from the least to the 95th percentile; tick: 99th percentile; thin: to the largest. "
+        "Verdict: from the arrival of a move's last EEG sample to the verdict. Policy: from the verdict's arrival to "
+        "the action. Action: from verdict to action as both were sent, so with the way between the two processes.",
     )
 
 

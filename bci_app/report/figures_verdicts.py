@@ -56,8 +56,8 @@ def accuracy(tables: Tables) -> Drawn | None:
         figure,
         "How often verdicts are right",
         f"Points with intervals. Balanced accuracy{' in the mean' if len(people) > 1 else ''}: {told}.",
-        "Bars are 95 % intervals: Wilson's for shares, MOVER's for the balanced accuracy, DeLong's for the area under the "
-        "ROC curve. Neighbouring epochs resemble each other, so believe contiguous folds where the two differ.",
+        "Bars are 95 % intervals: Wilson's for shares, MOVER's for the balanced accuracy, DeLong's for the area under "
+        "the ROC curve. Neighbouring epochs resemble each other, so believe contiguous folds where the two differ.",
     )
 
 
@@ -86,10 +86,11 @@ def decisions(tables: Tables) -> Drawn | None:
         figure,
         "Mistakes, ROC curve and reliability",
         f"Three panels. Left: of {counts[0, 0] + counts[0, 1]} errors {counts[0, 0]} were called errors, of "
-        f"{counts[1, 0] + counts[1, 1]} correct moves {counts[1, 1]} correct ({words(sources[0])}). Middle: ROC curves; area "
-        f"under them: {told}. Right: share of errors among moves that were said to be errors with some probability.",
-        "Left: counts, and shares of each row. Middle: the dot is where verdicts are given (log odds of 0). Right: points on "
-        "the diagonal are probabilities that hold; bars are Wilson's 95 % intervals.",
+        f"{counts[1, 0] + counts[1, 1]} correct moves {counts[1, 1]} correct ({words(sources[0])}). Middle: ROC "
+        f"curves; area under them: {told}. Right: share of errors among moves that were said to be errors with some "
+        "probability.",
+        "Left: counts, and shares of each row. Middle: the dot is where verdicts are given (log odds of 0). Right: "
+        "points on the diagonal are probabilities that hold; bars are Wilson's 95 % intervals.",
     )
 
 
@@ -164,6 +165,6 @@ def learning_curve(tables: Tables) -> Drawn | None:
         figure,
         "Learning curve",
         "Expected balanced accuracy against the number of epochs. " + (last[0] if len(last) == 1 else ""),
-        "What is expected of a decoder fitted on all epochs until then, after each block; the band is its 95 % interval. "
-        "Dashed: the paper's gate, which looks at plain accuracy.",
+        "What is expected of a decoder fitted on all epochs until then, after each block; the band is its 95 % "
+        "interval. Dashed: the paper's gate, which looks at plain accuracy.",
     )

@@ -14,7 +14,7 @@ WHAT = {
     "verdict": "from the arrival of a move's last EEG sample at the decoder to its verdict",
     "action": "from the verdict to the action, each as it was sent",
     "policy": "from the verdict's arrival at the policy to the action",
-    "verdict after onset": "from the flip to the verdict, in session time: 600 ms of EEG are needed, and at speed N a real ms counts N",
+    "verdict after onset": "from the flip to the verdict, in session time (N ms a real one at speed N): 600 are needed",
     "time left": "from the action to the flip of its move, in session time: what the loop had to spare",
     "marker": "of the int32 marker from the flip, in session time",
     "late frame": "pictures that came later than they were due",

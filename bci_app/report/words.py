@@ -112,9 +112,9 @@ def table_two(tables: Tables) -> Grid | None:
         head,
         lines,
         _quiet(rows),
-        "Success within the limit of steps with Wilson's 95 % interval; mean ± standard deviation of the steps of episodes "
-        "that reached the goal, as in the paper; failed episodes count with their steps in the last column. Italics: the "
-        "paper's numbers, of people.",
+        "Success within the limit of steps with Wilson's 95 % interval; mean ± standard deviation of the steps of "
+        "episodes that reached the goal, as in the paper; failed episodes count with their steps in the last column. "
+        "Italics: the paper's numbers, of people.",
     )
 
 
@@ -134,8 +134,9 @@ def tables_a(tables: Tables) -> list[Grid]:
         ]
         label = {"open": "Table A1", "obstacles": "Table A2"}.get(name, "Table A")
         people = ", ".join(f"{row['participant']} {row['failed']}" for row in rows if row["series"] == PEOPLE)
-        note = f"Columns are initial distances to the goal. {f'Failed of 19 in the paper, of people: {people}.' if people else ''}"
-        grids.append(Grid(f"{label}: steps of each episode, map {name}", head, lines, note=note.strip()))
+        note = "Columns are initial distances to the goal."
+        note += f" Failed of 19 in the paper, of people: {people}." if people else ""
+        grids.append(Grid(f"{label}: steps of each episode, map {name}", head, lines, note=note))
     return grids
 
 
@@ -154,7 +155,7 @@ def peaks(tables: Tables) -> Grid | None:
         for row in rows
     ]
     head = ("Participant", "Moves of", "Channel", "Peak", "At (ms)", "Amplitude (µV)")
-    note = "Of error less correct. The interval is that of the mean at this moment; where the peak is was picked by its size."
+    note = "Of error less correct. The interval is that of the mean at this moment, which was picked by its size."
     return Grid("Peaks of the difference wave", head, lines, note=note) if rows else None
 
 
@@ -251,7 +252,7 @@ def signals(tables: Tables) -> list[Grid]:
     if rows:
         headings = ("Run", "Moves", "Reason", "Number", "Of")
         moves = [(f"{who(r)}, {r['run']}", r["outcome"], r["reason"], str(r["n"]), str(r["of"])) for r in rows]
-        note = "valid: a calibration's epochs that could be judged; judged: verdicts; rejected: epochs that couldn't be judged."
+        note = "valid: epochs of a calibration that can be judged; judged: verdicts; rejected: epochs that can't be."
         grids.append(Grid("Moves and their epochs", headings, moves[:SHOWN], note=f"{note} {_more(moves)}".strip()))
     return grids
 
