@@ -48,7 +48,7 @@ def make(paths: Sequence[Path], out: Path | None, allow_damage: bool, progress: 
     levels = [row["level"] for row in tables.get("events", [])]
     return {
         "report": str(folder / "report.html"),
-        "participants": len({visit.participant for visit in wanted}),
+        "participants": len({each["participant"] for each in figures}),
         "recordings": len(files) - len(left_out),
         "left_out": left_out,
         "errors": levels.count("error"),

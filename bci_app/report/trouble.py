@@ -140,7 +140,7 @@ def electrode_rows(recording: Recording, moves: Sequence[Row], **where: object) 
             faults.setdefault(name, Counter()).update(found)
     places = np.searchsorted(np.array([k[0] * 1e6 + k[1] for k in keys]), [_order(m) for m in moves], side="right")
     for place in places[places > 0]:
-        n_bad.update(decisions[keys[place - 1]].bad)
+        n_bad.update(decisions[keys[place - 1]].bad.keys())
     return [
         {
             **where,
