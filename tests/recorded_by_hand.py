@@ -128,12 +128,9 @@ def write(whole: Recording, path: Path, protocol: int = 5) -> Path:
         ACTIONS_STREAM: (Action,),
     }
     parts = [b"XDF:", _chunk(1, b"<?xml version='1.0'?><info><version>1.0</version></info>")]
-    channels = "".join(
-        f"<channel><label>{n}</label><unit>uV</unit><type>EEG</type></channel>" for n in whole.eeg.channels
-    )
-    parts.append(
-        _header(1, "Amp", "EEG", len(whole.eeg.channels), SFREQ, "float32", f"<channels>{channels}</channels>")
-    )
+    names = whole.eeg.channels
+    channels = "".join(f"<channel><label>{name}</label><unit>uV</unit><type>EEG</type></channel>" for name in names)
+    parts.append(_header(1, "Amp", "EEG", len(names), SFREQ, "float32", f"<channels>{channels}</channels>"))
     for number, spec in enumerate((*streams, MARKERS), 2):
         kind = "string" if spec.string else "int32"
         parts.append(_header(number, spec.name, spec.kind, 1, 0, kind, ""))

@@ -13,8 +13,10 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from recorded_by_hand import BETWEEN_S, Wish, messages, recording, without, write
+from typer.testing import CliRunner
 
 from bci_app import fitting, metrics
+from bci_app.cli import app
 from bci_app.config import Config
 from bci_app.errors import SetupError
 from bci_app.protocol import (
@@ -438,11 +440,11 @@ def study_only(names: list[str]) -> set[str]:
     return {"table_1", "table_2", "by_distance", "maps", *(name for name in names if name.startswith("table_a_"))}
 
 
-def test_the_command_tells_where_it_is(study_folder: Any, tmp_path: Path, cli: Any) -> None:
-    done = cli("report", study_folder[0] / "absent.xdf", "--out", tmp_path / "out")
-    assert done.returncode == 2
-    assert "There is no recording" in done.stderr
-    assert "Traceback" not in done.stderr
+def test_the_command_refuses_in_a_sentence(study_folder: Any, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["report", str(study_folder[0] / "absent.xdf"), "--out", str(tmp_path / "out")])
+    assert done.exit_code == 2
+    assert "There is no recording" in done.output
+    assert "Traceback" not in done.output
 
 
 def test_the_moves_of_a_session_by_hand_are_as_far_apart_as_epochs_need() -> None:

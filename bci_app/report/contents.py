@@ -3,7 +3,17 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from bci_app.report import Row, Tables, distinct, figures_erp, figures_online, figures_verdicts, those, words
+from bci_app.report import (
+    Row,
+    Tables,
+    distinct,
+    figures_erp,
+    figures_online,
+    figures_verdicts,
+    those,
+    words,
+    words_on_runs,
+)
 from bci_app.report.drawing import Drawn, Written, percent
 from bci_app.report.page import Grid, Section
 
@@ -46,34 +56,56 @@ def title(tables: Tables) -> str:
 
 def summary(tables: Tables, seen: Sequence[Mapping[str, Any]]) -> list[str]:
     """The page's first sentences."""
-    lines = []
-    for figures in seen:
-        name = f"{figures['participant']}: " if len(seen) > 1 else ""
-        parts = []
-        if calibration := figures.get("calibration"):
-            blocked = calibration["blocked"]["balanced_accuracy"]
-            parts.append(
-                f"the decoder's verdicts are right in {percent(blocked['value'])} of moves (balanced, contiguous "
-                f"folds, 95 % interval {100 * blocked['low']:.1f} to {100 * blocked['high']:.1f} %)"
-            )
-        for map_name, online in figures["online"].items():
-            if online["n_episodes"]:
-                parts.append(
-                    f"on map {map_name} {percent(online['success'])} of {online['n_episodes']} episodes reached the "
-                    f"goal, in {words.number(online['mean_steps'])} steps in the mean, with "
-                    f"{percent(online['verdict_accuracy'])} of verdicts right"
-                )
-        if parts:
-            text = "; ".join(parts)
-            lines.append(f"{name}{text[0].upper()}{text[1:]}.")
+    lines = [_in_short(seen[0])] if len(seen) == 1 else _on_all(tables)
     troubles = [row for row in tables.get("events", []) if row["level"] != "info"]
     n_errors = sum(row["level"] == "error" for row in troubles)
-    plural = "thing" if len(troubles) == 1 else "things"
     lines.append(
-        f"{len(troubles)} {plural} went wrong or should be known, {n_errors} of them errors: see the end of the page."
+        f"{n_errors} errors and {len(troubles) - n_errors} warnings are told at the end of the page."
         if troubles
         else "Nothing went wrong that the recordings know of."
     )
+    return [line for line in lines if line]
+
+
+def _in_short(figures: Mapping[str, Any]) -> str:
+    """One session in a sentence."""
+    parts = []
+    if calibration := figures.get("calibration"):
+        blocked = calibration["blocked"]["balanced_accuracy"]
+        parts.append(
+            f"the decoder's verdicts are right in {percent(blocked['value'])} of moves (balanced, contiguous folds, "
+            f"95 % interval {100 * blocked['low']:.1f} to {100 * blocked['high']:.1f} %)"
+        )
+    for map_name, online in figures["online"].items():
+        if online["n_episodes"]:
+            parts.append(
+                f"on map {map_name} {percent(online['success'])} of {online['n_episodes']} episodes reached the goal, "
+                f"in {words.number(online['mean_steps'])} steps in the mean, with "
+                f"{percent(online['verdict_accuracy'])} of verdicts right"
+            )
+    text = "; ".join(parts)
+    return f"{text[0].upper()}{text[1:]}." if text else ""
+
+
+def _on_all(tables: Tables) -> list[str]:
+    """Means over participants."""
+    lines: list[str] = []
+    means: Row = {}
+    for name in ("table_1", "table_2"):
+        mean = [row for row in tables.get(name, []) if (row["series"], row["participant"]) == ("ours", "mean")]
+        means |= mean[0] if mean else {}
+    if (balanced := means.get("contiguous_balanced_accuracy")) is not None:
+        lines.append(
+            f"In the mean over participants the decoders' verdicts are right in {percent(balanced)} of moves "
+            "(balanced, contiguous folds)."
+        )
+    for name in distinct(those(tables["runs"], task="online"), "map"):
+        if (success := means.get(f"{name}_success")) is not None:
+            lines.append(
+                f"On map {name} {percent(success)} of episodes reached the goal, in "
+                f"{words.number(means.get(f'{name}_mean_steps_all'))} steps in the mean, with "
+                f"{percent(means.get(f'{name}_accuracy'))} of verdicts right."
+            )
     return lines
 
 
@@ -84,17 +116,17 @@ def sections(tables: Tables, figures: Figures, seen: Sequence[Mapping[str, Any]]
         for row in those(tables["runs"], task="online")
         if ways_name(row) in figures
     ]
-    infos = words.events(tables, ("info",), "Notes that are no trouble")
+    infos = words_on_runs.events(tables, ("info",), "Notes that are no trouble")
     found = [
-        Section("Runs", shown=[words.runs(tables)]),
+        Section("Runs", shown=[words_on_runs.runs(tables)]),
         Section(
             "Verdicts",
-            _on_calibration(seen),
-            _of(
+            shown=_of(
                 figures,
                 "verdicts_accuracy",
                 words.table_one(tables),
                 words.beside_table_one(tables),
+                words.calibrations(seen),
                 "verdicts_decisions",
                 "calibration_learning_curve",
             ),
@@ -115,8 +147,8 @@ def sections(tables: Tables, figures: Figures, seen: Sequence[Mapping[str, Any]]
             shown=_of(figures, "online_areas", "erp_areas", *words.area_tests(tables)),
         ),
         Section("Errors in a row", shown=_of(figures, "erp_errors_in_a_row", words.levels(tables))),
-        Section("Latencies", shown=_of(figures, "latencies", *words.ledger(tables))),
-        Section("Signal quality", _on_signals(tables), _of(figures, "electrodes", *words.signals(tables))),
+        Section("Latencies", shown=_of(figures, "latencies", *words_on_runs.ledger(tables))),
+        Section("Signal quality", _on_signals(tables), _of(figures, "electrodes", *words_on_runs.signals(tables))),
         Section(
             "What went wrong",
             [] if _troubles(tables) else ["Nothing that the recordings know of."],
@@ -136,7 +168,7 @@ FILES = (
 
 
 def _troubles(tables: Tables) -> Grid | None:
-    return words.events(tables, ("error", "warning"), "Errors and warnings")
+    return words_on_runs.events(tables, ("error", "warning"), "Errors and warnings")
 
 
 def _of(figures: Figures, *wanted: str | Grid | None) -> list[Written | Grid]:
@@ -148,25 +180,6 @@ def _of(figures: Figures, *wanted: str | Grid | None) -> list[Written | Grid]:
         elif item is not None and item in figures:
             found.append(figures[item])
     return found
-
-
-def _on_calibration(seen: Sequence[Mapping[str, Any]]) -> list[str]:
-    lines = []
-    for figures in seen:
-        calibration = figures.get("calibration")
-        if not calibration:
-            continue
-        session, evidence = calibration["session"], calibration["evidence"]
-        expected, name = session["accuracy"], f"{figures['participant']}: " if len(seen) > 1 else ""
-        alone = calibration["eyes"]["alone"]
-        eyes = f" By the eyes alone the area under the ROC curve is {alone['auc']['value']:.2f}." if alone else ""
-        lines.append(
-            f"{name}{calibration['n_valid']} of {calibration['n_moves']} moves gave valid epochs, "
-            f"{calibration['n_error']} of errors. A verdict tells {evidence['information']:.2f} bits. An online run of "
-            f"{session['n_moves']} moves may expect an accuracy of {100 * expected['low']:.0f} to "
-            f"{100 * expected['high']:.0f} %.{eyes} {calibration['eyes']['correction']}"
-        )
-    return lines
 
 
 def _on_signals(tables: Tables) -> list[str]:

@@ -134,7 +134,7 @@ def head_map(axes: Axes, values: np.ndarray, channels: list[str], **look: Any) -
     info = mne.create_info(channels, 256.0, "eeg")
     info.set_montage(template())
     with mne.use_log_level("error"):
-        image, _ = mne.viz.plot_topomap(values, info, axes=axes, show=False, contours=4, res=48, **look)
+        image, _ = mne.viz.plot_topomap(values, info, axes=axes, show=False, res=48, **{"contours": 4, **look})
     return image
 
 
@@ -212,7 +212,7 @@ def in_a_row(tables: Tables) -> Drawn | None:
     source = "online" if those(everything, source="online") else "calibration"
     people = distinct(everything, "participant")
     person = "all" if "all" in people else people[0]
-    few = 2 if person == "all" else FEWEST
+    few = 3 if person == "all" else FEWEST
     rows = [row for row in those(everything, source=source, participant=person) if row["n"] >= few]
     if not rows:
         return None

@@ -97,7 +97,8 @@ def by_distance(tables: Tables) -> Drawn | None:
         longest = max(row["distance"] for row in rows)
         grid[0, 1].plot([0, longest], [0, longest], color=GREY, linestyle=":", linewidth=1)
         grid[0, 0].set(ylabel="episodes that reached the goal (%)", ylim=(-3, 103))
-        grid[0, 1].set(ylabel="steps an episode", ylim=(0, None))
+        # Intervals of two or three episodes may be as wide as they like.
+        grid[0, 1].set(ylabel="steps an episode", ylim=(0, 1.15 * max(*(row["mean"] for row in rows), longest)))
         for axes in grid[0]:
             axes.set(xlabel="initial distance to the goal (moves)", xlim=(0, longest + 1))
         handles = [Line2D([], [], label=title(name), **style[name]) for name in maps]
@@ -257,7 +258,9 @@ def electrodes(tables: Tables) -> Drawn | None:
     with matplotlib.rc_context(LOOK):
         figure, grid = sheet(1, 1, 3.0)
         most = max(1.0, float(values.max()))
-        image = head_map(grid[0, 0], values, spelt, cmap="cividis", vlim=(0, most), names=_labels(names, shares))
+        image = head_map(
+            grid[0, 0], values, spelt, cmap="Oranges", vlim=(0, most), names=_labels(names, shares), contours=0
+        )
         figure.colorbar(image, ax=grid[0, 0], shrink=0.7, label="moves while it was bad (%)")
     told = "; ".join(
         f"{name} {percent(share)}" for name, share in sorted(shares.items(), key=lambda item: -item[1])[:12]

@@ -136,7 +136,8 @@ def _reliability(axes: Axes, rows: list[Row], style: dict[str, dict[str, Any]]) 
             said, happened = (np.array([row[name] for row in curve]) for name in ("said", "happened"))
             reach = [happened - [row["low"] for row in curve], [row["high"] for row in curve] - happened]
             bars = None if several else np.maximum(reach, 0)
-            axes.errorbar(said, happened, yerr=bars, markersize=3.5, linewidth=0.8, elinewidth=0.8, **style[source])
+            look = {"color": style[source]["color"], "alpha": 0.5} if several else style[source]
+            axes.errorbar(said, happened, yerr=bars, markersize=3.5, linewidth=0.8, elinewidth=0.8, **look)
     axes.set(xlabel="said probability of an error", ylabel="share of errors", title="Reliability", aspect="equal")
     axes.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
 

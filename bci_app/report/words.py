@@ -1,15 +1,12 @@
 """Rows of tables in words, as people read them in a page."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from bci_app.report import Row, Tables, distinct, those
 from bci_app.report.drawing import percent, words
-from bci_app.report.ledger import WHAT
 from bci_app.report.online import PEOPLE
 from bci_app.report.page import Grid
-
-SHOWN = 200
-"""Lines of a long table that the page shows; its CSV has all."""
 
 
 def number(value: float | None, digits: int = 1) -> str:
@@ -31,24 +28,37 @@ def who(row: Row) -> str:
     return name if row.get("visit") in (None, "S001") else f"{name} {row['visit']}"
 
 
-def runs(tables: Tables) -> Grid:
-    """All runs, a line each."""
-    head = ("Participant", "Run", "Map", "Moves", "Minutes", "Ended", "Policy", "Participant is", "Amplifier")
-    rows = [
-        (
-            who(row),
-            row["run"],
-            row["map"],
-            str(row["n_moves"]),
-            number(row["seconds"] / 60),
-            row["ended"],
-            row["policy"] or "–",
-            {True: "simulated", False: "a person", None: "not known"}[row["simulated"]],
-            f"{row['amplifier']}, {row['n_channels']} channels, {row['sfreq_hz']:g} Hz",
+def calibrations(seen: Sequence[Mapping[str, Any]]) -> Grid | None:
+    """What `fit` tells beside the shares of right verdicts."""
+    lines = []
+    for figures in seen:
+        found = figures.get("calibration")
+        if not found:
+            continue
+        expected, alone = found["session"]["accuracy"], found["eyes"]["alone"]
+        lines.append(
+            (
+                who(dict(figures)),
+                f"{found['n_valid']} of {found['n_moves']}",
+                str(found["n_error"]),
+                number(found["evidence"]["information"], 2),
+                f"{100 * expected['low']:.0f} to {100 * expected['high']:.0f} % in {found['session']['n_moves']} moves",
+                f"{number(found['reliability']['ece'], 3)} ({number(found['reliability']['ece_by_chance'], 3)})",
+                number(alone["auc"]["value"], 2) if alone else "–",
+                found["eyes"]["correction"],
+            )
         )
-        for row in tables["runs"]
-    ]
-    return Grid("All runs", head, rows)
+    head = (
+        "Participant",
+        "Valid epochs",
+        "Errors",
+        "Bits a verdict",
+        "Accuracy to expect online",
+        "Calibration error (by chance)",
+        "AUC of the eyes alone",
+        "Eyes",
+    )
+    return Grid("Calibrations", head, lines) if lines else None
 
 
 def table_one(tables: Tables) -> Grid:
@@ -56,7 +66,7 @@ def table_one(tables: Tables) -> Grid:
     rows = tables["table_1"]
     columns = _columns(tables, "accuracy")
     return Grid(
-        "Table I: right verdicts of all",
+        "Table I: share of right verdicts",
         ("Participant", *columns.values()),
         [(_whose(row), *(with_bounds(row, name) for name in columns)) for row in rows],
         _quiet(rows),
@@ -216,68 +226,6 @@ def levels(tables: Tables) -> Grid | None:
     ]
     head = ("Participant", "Moves of", "Errors in a row", "n", "Mean around the peaks (µV)", "Peak to peak (µV)")
     return Grid("Size of the error potential by errors in a row", head, lines) if rows else None
-
-
-def ledger(tables: Tables) -> list[Grid]:
-    """Latencies, and what they are of."""
-    rows = tables.get("latency", [])
-    if not rows:
-        return []
-    lines = [
-        (
-            f"{who(row)}, {row['run']}",
-            row["what"],
-            str(row["n"]),
-            *(number(row[f"{name}_ms"], 2) for name in ("min", "p50", "p95", "p99", "max")),
-        )
-        for row in rows
-    ]
-    head = ("Run", "What", "n", "Least", "Median", "95 %", "99 %", "Largest")
-    known = distinct(rows, "what")
-    return [
-        Grid("Latency ledger, ms", head, lines),
-        Grid("What is in the ledger", ("What", "Meaning"), [(name, WHAT[name]) for name in known]),
-    ]
-
-
-def signals(tables: Tables) -> list[Grid]:
-    """Bad electrodes and rejected moves."""
-    grids = []
-    rows = tables.get("electrodes", [])
-    if rows:
-        head = ("Run", "Channel", "Faults", "Moves while it was bad")
-        lines = [(f"{who(r)}, {r['run']}", r["channel"], r["faults"], percent(r["share_of_moves"])) for r in rows]
-        grids.append(Grid("Bad electrodes", head, lines[:SHOWN], note=_more(lines)))
-    rows = tables.get("rejected", [])
-    if rows:
-        headings = ("Run", "Moves", "Reason", "Number", "Of")
-        moves = [(f"{who(r)}, {r['run']}", r["outcome"], r["reason"], str(r["n"]), str(r["of"])) for r in rows]
-        note = "valid: epochs of a calibration that can be judged; judged: verdicts; rejected: epochs that can't be."
-        grids.append(Grid("Moves and their epochs", headings, moves[:SHOWN], note=f"{note} {_more(moves)}".strip()))
-    return grids
-
-
-def events(tables: Tables, levels: Sequence[str], caption: str) -> Grid | None:
-    """What went wrong, of these levels."""
-    rows = [row for row in tables.get("events", []) if row["level"] in levels]
-    lines = [
-        (
-            f"{who(row)}, {row['run']}",
-            "–" if row["time_s"] is None else f"{row['time_s']:.1f}",
-            row["kind"],
-            row["level"],
-            row["role"],
-            row["text"],
-        )
-        for row in rows
-    ]
-    head = ("Run", "At (s)", "Kind", "Level", "Who says so", "What")
-    note = f"Seconds of session time since the run's first message. {_more(lines)}".strip()
-    return Grid(caption, head, lines[:SHOWN], note=note) if lines else None
-
-
-def _more(lines: Sequence[object]) -> str:
-    return f"The first {SHOWN} of {len(lines)}; the CSV has all." if len(lines) > SHOWN else ""
 
 
 def _maps(tables: Tables) -> list[str]:
