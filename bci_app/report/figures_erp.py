@@ -50,7 +50,7 @@ def potential(tables: Tables, source: str) -> Drawn | None:
             axes.set_ylabel(f"{channel} (µV)")
             axes.legend(loc="upper right", ncols=1)
         lower.set(xlabel="time after the move (ms)", xlim=(BASELINE_MS[0], time[-1]))
-        lower.margins(y=0.18)
+        lower.margins(y=0.26)
     told = "; ".join(f"{peak['peak']}: {peak['mean_uv']:.1f} µV at {peak['time_ms']:.0f} ms" for peak in peaks)
     whose = f"{wave[0]['n']} participants" if several else f"{wave[0]['n']} moves"
     return Drawn(

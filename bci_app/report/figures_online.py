@@ -257,7 +257,8 @@ def electrodes(tables: Tables) -> Drawn | None:
     spelt = [places[canonical(name)] for name in names]
     with matplotlib.rc_context(LOOK):
         figure, grid = sheet(1, 1, 3.0)
-        most = max(1.0, float(values.max()))
+        figure.set_figwidth(3.8)
+        most = max(1.0, 1.6 * float(values.max()))  # names must be read on the darkest place
         image = head_map(
             grid[0, 0], values, spelt, cmap="Oranges", vlim=(0, most), names=_labels(names, shares), contours=0
         )

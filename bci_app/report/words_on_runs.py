@@ -1,4 +1,4 @@
-"""Rows about the runs themselves in words: what they were, how quick the loop, how good the signals, what went wrong."""
+"""Rows about the runs in words: what they were, how quick the loop, how good the signals, what went wrong."""
 
 from collections.abc import Sequence
 
