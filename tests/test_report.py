@@ -39,6 +39,7 @@ from bci_app.recording import Recording, Stamped, read
 from bci_app.report import Tables, contents, making, merged, study, those
 from bci_app.report.sources import Source, Visit, free_folder, missing, visits
 from bci_app.report.visits import see_recordings
+from bci_app.runs import checksum
 
 EEG = "sub-P001/ses-S001/eeg/sub-P001_ses-S001_task-{}_run-{:03d}_eeg.xdf"
 WISHES = (Wish(), Wish("online", "open", 4, 12, 0.3, 2), Wish("online", "obstacles", 4, 12, 0.3, 3))
@@ -66,7 +67,10 @@ def study_folder(tmp_path_factory: pytest.TempPathFactory, whole: list[Recording
     """A calibration, its decoder, a run on each map; and what `fit` told."""
     folder = tmp_path_factory.mktemp("recordings")
     fitted = fitting.fit([put(folder, whole[0], "calibration", 1)], Config(), False, nothing)
-    used = {"model": {"path": fitted["model"], "sha256": ""}, "policy": {"path": "open_told.safetensors"}}
+    used = {
+        "model": {"path": fitted["model"], "sha256": checksum(Path(fitted["model"]))},
+        "policy": {"path": "open_told.safetensors"},
+    }
     for number, each in enumerate(whole[1:], 1):
         put(folder, each, "online", number, **used)
     (folder / "notes.txt").write_text("of the lab")
@@ -324,7 +328,7 @@ def test_without_a_truth_there_are_ways_and_steps(whole: list[Recording]) -> Non
     tables = tables_of(without(whole[1], Truth, EpisodeGoal))
     assert "There is no truth" in said(tables)
     assert "There is no sidecar" in said(tables)
-    assert "its decoder isn't there" in said(tables)
+    assert "Its decoder isn't there" in said(tables)
     (two,) = those(tables["table_2"], series="ours")
     assert two["open_n_episodes"] == 4
     assert not tables.get("scores")

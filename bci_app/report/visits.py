@@ -17,7 +17,7 @@ from bci_app.recording import Recording, read
 from bci_app.report import Row, Tables, areas, calibrations, clusters, erp, in_a_row, ledger, steps, trouble
 from bci_app.report.sources import Source, Visit, missing
 from bci_app.report.waveforms import Waveforms, together, waveforms
-from bci_app.runs import check_untouched, eeg_type
+from bci_app.runs import check_untouched, checksum, eeg_type
 from decoder.judge import Judge, judge_with, judge_without
 from decoder.model import SUFFIX, DecoderModel, load
 
@@ -153,8 +153,8 @@ class _Look:
         """The decoder fitted on a calibration, the newest, or that of an online run; None, and said, without."""
         path = _newest(recording.path) if task == "calibration" else _used(source)
         if path is None:
-            what = "no decoder was fitted on it yet" if task == "calibration" else "its decoder isn't there"
-            self._complain(where, [f"The EEG is looked at with the settings of the run, for {what}."])
+            what = "No decoder was fitted on it" if task == "calibration" else "Its decoder isn't there"
+            self._complain(where, [f"{what}: its EEG is looked at with the settings in its sidecar."])
             return None
         try:
             return load(path)
@@ -264,11 +264,13 @@ def _newest(recording: Path) -> Path | None:
 
 
 def _used(source: Source) -> Path | None:
-    """The decoder that a run's sidecar names, there or beside the recording."""
+    """The decoder that a run's sidecar names, there or beside the recording, and no other of its name."""
     named = source.sidecar.get("model")
-    path = named.get("path") if isinstance(named, dict) else None
-    candidates = [Path(path), source.path.with_name(Path(path).name)] if path else []
-    return next((each for each in candidates if each.exists()), None)
+    if not isinstance(named, dict) or not named.get("path"):
+        return None
+    path = Path(str(named["path"]))
+    candidates = [each for each in (path, source.path.with_name(path.name)) if each.exists()]
+    return next((each for each in candidates if checksum(each) == named.get("sha256")), None)
 
 
 def _run_row(
