@@ -278,6 +278,25 @@ def drill(
         raise typer.Exit(1)
 
 
+@app.command(rich_help_panel="Afterwards")
+def report(
+    recording: Annotated[
+        list[Path], typer.Argument(help="Recorded runs (.xdf) of a session or a study, or folders that hold some.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="New folder of the report; default: `report` beside the recordings.")
+    ] = None,
+    allow_damage: Annotated[bool, typer.Option("--allow-damage", help="Use what a damaged file still holds.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Show what recordings tell: one page with figures and tables, and the same as files."""
+    from bci_app.report import making
+
+    with progress_bar(as_json) as progress:
+        result = making.make(recording, out, allow_damage, progress)
+    finish(result, as_json, f"Open {result['report']} in a browser.")
+
+
 @app.command("rehearse", rich_help_panel="Afterwards")
 def rehearse_recording(
     recording: Annotated[Path, typer.Option("--from", help="The recorded calibration (.xdf) of the person.")],

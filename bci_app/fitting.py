@@ -44,7 +44,41 @@ def fit(paths: Sequence[Path], config: Config, allow_damage: bool, progress: Pro
     epochs = labelled(recording, config)
     progress("cross-validating", 2, 3)
     result = calibration.calibrate(epochs.features, epochs.error, config.classifier, config.chain.n_windows)
-    fitted = model.make_model(
+    fitted = _model(recording, participant, epochs, result, config, " ".join(map(checksum, paths)))
+    figures = figures_of(epochs, result, fitted.info, config)
+    # Saved last: whatever fails before leaves no decoder behind.
+    target = _free_name(paths[-1])
+    model.save(fitted, target)
+    progress("done", 3, 3)
+    return {"participant": participant, "calibration": figures, "advice": _advice(result, config), "model": str(target)}
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """A calibration as `fit` looks at it: its epochs, their cross-validation, and the figures that `fit` prints."""
+
+    epochs: "Labelled"
+    result: calibration.Calibration
+    figures: dict[str, Any]
+
+
+def analysed(recording: Recording, participant: str, config: Config) -> Analysis:
+    """All that `fit` tells, of a recording that is read, and no file of a decoder. Raises SetupError as it does."""
+    epochs = labelled(recording, config)
+    result = calibration.calibrate(epochs.features, epochs.error, config.classifier, config.chain.n_windows)
+    info = _model(recording, participant, epochs, result, config, "").info
+    return Analysis(epochs, result, figures_of(epochs, result, info, config))
+
+
+def _model(
+    recording: Recording,
+    participant: str,
+    epochs: "Labelled",
+    result: calibration.Calibration,
+    config: Config,
+    sha256: str,
+) -> model.DecoderModel:
+    return model.make_model(
         result,
         epochs.error,
         design(config.chain, recording.eeg.sfreq),
@@ -55,20 +89,21 @@ def fit(paths: Sequence[Path], config: Config, allow_damage: bool, progress: Pro
         eyes=epochs.eyes.eyes,
         on_eyes=epochs.eyes.reason,
         ocular=_by_eyes_alone(epochs, config),
-        recording_sha256=" ".join(map(checksum, paths)),
+        recording_sha256=sha256,
     )
-    figures = _figures(result, epochs) | {
-        "evidence": asdict(fitted.info.evidence),
-        "eyes": {"correction": fitted.info.eyes, "seen_by": epochs.eyes.seen_by, "alone": fitted.info.ocular},
+
+
+def figures_of(
+    epochs: "Labelled", result: calibration.Calibration, info: model.ModelInfo, config: Config
+) -> dict[str, Any]:
+    """What `fit` tells of a calibration, in plain numbers."""
+    return _figures(result, epochs) | {
+        "evidence": asdict(info.evidence),
+        "eyes": {"correction": info.eyes, "seen_by": epochs.eyes.seen_by, "alone": info.ocular},
         "reliability": reliability(held_out_evidence(result.blocked_log_odds, epochs.error), epochs.error).as_dict(),
         "session": _session(result, epochs.error, config),
         "learning_curve": _by_block(epochs, config),
     }
-    # Saved last: whatever fails before leaves no decoder behind.
-    target = _free_name(paths[-1])
-    model.save(fitted, target)
-    progress("done", 3, 3)
-    return {"participant": participant, "calibration": figures, "advice": _advice(result, config), "model": str(target)}
 
 
 def _advice(result: calibration.Calibration, config: Config) -> str:

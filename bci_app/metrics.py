@@ -100,13 +100,24 @@ def online(recordings: Sequence[Recording]) -> dict[str, Any]:
 
 
 def latencies(recordings: Sequence[Recording], speed: float) -> dict[str, float | None]:
-    """Median and 99th percentile in real ms of what the loop adds to the EEG.
+    """Median and 99th percentile in real ms of what the loop adds to the EEG: of `latency_samples`."""
+    found = latency_samples(recordings, speed)
+    return {
+        f"{name}_p{percent}_ms": float(np.percentile(found[name], percent)) if found[name] else None
+        for name in ("verdict", "action")
+        for percent in (50, 99)
+    }
+
+
+def latency_samples(recordings: Sequence[Recording], speed: float) -> dict[str, list[float]]:
+    """What the loop adds to the EEG, in real ms, one number a move.
 
     `verdict`: from the arrival of the last needed sample at the decoder to the push of the verdict, as the decoder
     measured it. `action`: from the push of the verdict to the push of the action, by their stamps, so with LSL's way
-    between the two processes. `speed` is the session's.
+    between the two processes. `policy`: from the verdict's arrival to the push of the action, as the policy measured
+    it. `speed` is the session's.
     """
-    found: dict[str, list[float]] = {"verdict": [], "action": []}
+    found: dict[str, list[float]] = {"verdict": [], "action": [], "policy": []}
     for recording in recordings:
         found["verdict"] += [v.latency_ms for _, v in recording.of(Verdict) if v.latency_ms is not None]
         pushed = {(verdict.episode, verdict.step): stamp for stamp, verdict in recording.of(Verdict)}
@@ -114,8 +125,5 @@ def latencies(recordings: Sequence[Recording], speed: float) -> dict[str, float 
             verdict_at = pushed.get((action.episode, action.step - 1))
             if verdict_at is not None:
                 found["action"].append((stamp - verdict_at) / speed * 1e3)
-    return {
-        f"{name}_p{percent}_ms": float(np.percentile(values, percent)) if values else None
-        for name, values in found.items()
-        for percent in (50, 99)
-    }
+                found["policy"] += [action.latency_ms] if action.latency_ms is not None else []
+    return found

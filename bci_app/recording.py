@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bci_app.eeg import EegDescription
 from bci_app.errors import SetupError
-from bci_app.protocol import STREAMS, BadMessage, Message, SessionEnd, Verdict, decode
+from bci_app.protocol import MARKERS, STREAMS, BadMessage, Message, SessionEnd, Verdict, decode
 from bci_app.runs import known_of
 from bci_app.said import without_void
 from bci_app.xdf import MAGIC, salvage
@@ -19,6 +19,10 @@ from bci_app.xdf import MAGIC, salvage
 log = logging.getLogger(__name__)
 
 M = TypeVar("M", bound=Message)
+
+
+class NotOurs(SetupError):
+    """A whole recording of something else."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,7 @@ class Recording:
     times : float64, (n_times,), raw stamps in seconds.
     messages : of all our streams that count (`said.without_void`), ordered by stamp.
     damage : sentences about what is missing or unreadable; empty for a whole file.
+    markers : (stamp, code) of the int32 stream, all of them, in the order they were recorded.
     """
 
     path: Path
@@ -49,6 +54,7 @@ class Recording:
     times: NDArray[np.float64]
     messages: tuple[Stamped, ...]
     damage: tuple[str, ...]
+    markers: tuple[tuple[float, int], ...] = ()
 
     def of(self, kind: type[M]) -> list[tuple[float, M]]:
         """All messages of one type with their stamps, in order."""
@@ -78,12 +84,12 @@ def read(path: Path, allow_damage: bool = False, eeg_type: str = "EEG") -> Recor
     if not messages:
         names = ", ".join(spec.name for spec in STREAMS if spec.string)
         also = f" It is damaged as well: {' '.join(damage)}" if damage else ""
-        raise SetupError(f"{path} holds no messages of ours (streams {names}): it isn't our experiment's run.{also}")
+        raise NotOurs(f"{path} holds no messages of ours (streams {names}): it isn't our experiment's run.{also}")
     if damage and not allow_damage:
         raise SetupError(f"{path} is damaged: {' '.join(damage)} What is left can be read with --allow-damage.")
     samples = np.asarray(stream["time_series"])
     times = np.asarray(stream["time_stamps"], dtype=np.float64)
-    return Recording(path, describe(stream["info"]), samples, times, messages, tuple(damage))
+    return Recording(path, describe(stream["info"]), samples, times, messages, tuple(damage), _markers(streams))
 
 
 def _load(path: Path) -> tuple[list[dict[str, Any]], list[str]]:
@@ -171,3 +177,12 @@ def _messages(streams: list[dict[str, Any]]) -> tuple[Stamped, ...]:
             except BadMessage as error:
                 log.warning("A sample of stream %s at %.3f is no message: %s", stream["info"]["name"][0], stamp, error)
     return tuple(without_void(sorted(found, key=lambda item: item.stamp), lambda item: item.message))
+
+
+def _markers(streams: list[dict[str, Any]]) -> tuple[tuple[float, int], ...]:
+    return tuple(
+        (float(stamp), int(sample[0]))
+        for stream in streams
+        if stream["info"]["name"][0] == MARKERS.name
+        for stamp, sample in zip(stream["time_stamps"], stream["time_series"], strict=True)
+    )

@@ -111,8 +111,15 @@ def _fill(n_raw: int, down: int, sfreq: float) -> int:
 
 def reference_features(raw: Array, chain: Chain) -> Array:
     """Features of one stretch: (n_raw, n_channels) in uV -> (n_channels, n_windows) in uV."""
-    grid = resample(np.asarray(raw, dtype=np.float64), chain)
+    grid = resample(centred(np.asarray(raw, dtype=np.float64)), chain)
     return window_means(common_average(band_pass(grid, chain)), chain)
+
+
+def centred(raw: Array) -> Array:
+    """A stretch less its mean, (n_times, n_channels): of an electrode's offset, a thousand times larger than EEG and
+    changing within the hour, polyphase filtering would leave a ripple of up to 0.07 %, locked to the onset."""
+    less: Array = raw - raw.mean(axis=0)
+    return less
 
 
 def resample(raw: Array, chain: Chain) -> Array:

@@ -14,7 +14,7 @@ import hashlib
 import numpy as np
 from numpy.typing import NDArray
 
-from decoder.chain import Chain, band_pass, resample, window_means
+from decoder.chain import Chain, band_pass, centred, resample, window_means
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ def chain_operator(chain: Chain) -> Array:
     rows = []
     for start in range(0, chain.n_raw, _COLUMNS):
         impulses = np.eye(chain.n_raw, min(_COLUMNS, chain.n_raw - start), -start)
-        rows.append(window_means(band_pass(resample(impulses, chain), chain), chain))
+        rows.append(window_means(band_pass(resample(centred(impulses), chain), chain), chain))
     return np.ascontiguousarray(np.concatenate(rows))
 
 

@@ -39,7 +39,7 @@ def test_same_features_as_mne_on_the_same_stretch(sfreq: float, phase: str) -> N
     config = ChainConfig(phase=phase)
     chain = design(config, sfreq)
     raw = raw_eeg(chain.n_raw, 8, seed=1)
-    expected = through_mne(raw, sfreq, config, chain.windows)
+    expected = through_mne(raw - raw.mean(axis=0), sfreq, config, chain.windows)
     found = features(raw, chain_operator(chain), common_average(8)).reshape(8, 15)
     assert np.abs(found - expected).max() < 1e-3 * np.abs(expected).max()
 
@@ -59,6 +59,16 @@ def test_operator_is_the_reference_chain(sfreq: float, n_channels: int, phase: s
     assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
 
 
+@pytest.mark.parametrize("sfreq", RATES)
+def test_an_electrodes_offset_leaves_no_trace(sfreq: float) -> None:
+    chain = design(ChainConfig(), sfreq)
+    raw = raw_eeg(chain.n_raw, 8, seed=2)
+    operator, spatial = chain_operator(chain), np.eye(8)
+    offsets = np.linspace(-50_000.0, 50_000.0, 8)  # uV: electrodes reach tens of millivolts
+    without, with_them = features(raw, operator, spatial), features(raw + offsets, operator, spatial)
+    assert np.abs(with_them - without).max() < 1e-6
+
+
 def test_minimum_phase_ends_with_the_last_window_and_linear_waits() -> None:
     assert design(ChainConfig(), 500.0).n_after == 300
     assert design(ChainConfig(phase="linear"), 500.0).n_after > 300 + 800
@@ -68,6 +78,7 @@ def test_the_stretch_holds_the_whole_filter() -> None:
     """More EEG before the stretch changes nothing: the grid and everything the filter reaches are the same."""
     chain = design(ChainConfig(), 512.0)  # two raw samples a grid sample: a longer stretch has the same grid
     longer = raw_eeg(chain.n_raw + 512, 4, seed=2, offset_uv=0)
+    longer -= longer[512:].mean(axis=0)
     grid = mne.filter.resample(longer.T, up=0.5, method="polyphase", pad="line", verbose="error")
     grid = mne.filter.filter_data(grid, 256.0, 1.0, 50.0, phase="minimum", verbose="error")
     grid = grid - grid.mean(axis=0)

@@ -1,13 +1,15 @@
 """The figures of the first experiment that show the grid itself: gradients by cell, and trajectories."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
 
 from bci_app.gridworld import OBSTACLE
 from policy.experiment1 import Row, Tables
@@ -36,7 +38,7 @@ def gradient_maps(tables: Tables, layouts: dict[str, list[str]], series: str) ->
             image = np.full((len(layout), len(layout[0])), np.nan)
             for row in those(rows, map=name, accuracy=accuracy):
                 image[row["row"], row["column"]] = row["gradient"]
-            _grid(axes, layout)
+            empty_map(axes, layout)
             if np.isfinite(image).any():
                 # A cell where hardly anybody comes may have any mean: it mustn't take all the colours.
                 most = float(np.nanpercentile(image, 98)) or 1.0
@@ -72,7 +74,7 @@ def trajectories(rows: list[Row], layouts: dict[str, list[str]]) -> Figure | Non
     for line, (name, layout) in zip(grid, layouts.items(), strict=True):
         for axes, (accuracy, words) in zip(line, conditions.items(), strict=True):
             path = those(rows, map=name, accuracy=accuracy)
-            _grid(axes, layout)
+            empty_map(axes, layout)
             axes.set_title(f"{words}: {_end(path)}")
             if path:
                 lines = _path(axes, path, longest)
@@ -94,32 +96,54 @@ def _end(path: list[Row]) -> str:
 
 
 def _path(axes: Axes, path: list[Row], longest: int) -> LineCollection:
-    step = np.array(column(path, "step"))
+    cells = np.stack([np.array(column(path, name), dtype=np.float64) for name in ("row", "column")], axis=1)
+    goal = (path[0]["goal_row"], path[0]["goal_column"])
+    return draw_way(axes, cells, [bool(row["error"]) for row in path], goal, longest)
+
+
+def draw_way(
+    axes: Axes,
+    cells: NDArray[np.float64],
+    error: Sequence[bool],
+    goal: tuple[int, int] | None,
+    longest: int,
+    size: float = 1.0,
+) -> LineCollection:
+    """A way on a map, coloured by step; the lines, for a colour bar.
+
+    Parameters
+    ----------
+    cells : float64, (n_steps + 1, 2), row and column, from the start on.
+    error : whether each of them was reached by an error.
+    goal : row and column, where it is known.
+    longest : steps of the last colour.
+    size : of lines and markers, relative to a map three inches wide.
+    """
+    step = np.arange(len(cells))
     drift = LANES * (2 * step / max(longest, 1) - 1)
-    points = np.stack([np.array(column(path, "column")) + drift, np.array(column(path, "row")) + drift], axis=1)
+    points = cells[:, ::-1] + drift[:, None]
     segments = np.stack([points[:-1], points[1:]], axis=1)
-    lines = LineCollection(list(segments), cmap="plasma", linewidths=2, capstyle="round", zorder=3)
+    lines = LineCollection(list(segments), cmap="plasma", linewidths=2 * size, capstyle="round", zorder=3)
     lines.set_array(step[1:])
     lines.set_clim(0, longest)
     axes.add_collection(lines)
-    wrong = points[[row["error"] for row in path]]
-    axes.plot(*wrong.T, linestyle="none", zorder=4, **ERROR)
-    axes.plot(*points[0], zorder=5, **START)
-    axes.plot(path[0]["goal_column"], path[0]["goal_row"], zorder=5, **GOAL)
+    marks = [(points[np.array(error, dtype=bool)].T, ERROR, 4), (points[:1].T, START, 5)]
+    if goal is not None:
+        marks.append((np.array([goal[::-1]]).T, GOAL, 5))
+    for places, mark, order in marks:
+        axes.plot(*places, zorder=order, **{"linestyle": "none", **mark, "markersize": size * mark["markersize"]})
     return lines
 
 
-def _grid(axes: Axes, layout: list[str]) -> None:
+def empty_map(axes: Axes, layout: list[str]) -> None:
     """An empty map, the first row on top."""
     n_rows, n_columns = len(layout), len(layout[0])
     axes.set(xlim=(-0.5, n_columns - 0.5), ylim=(n_rows - 0.5, -0.5), aspect="equal", xticks=[], yticks=[])
     axes.grid(False)
     axes.spines[:].set_visible(True)
-    for at in range(1, n_columns):
-        axes.axvline(at - 0.5, color="0.88", linewidth=0.5, zorder=0)
-    for at in range(1, n_rows):
-        axes.axhline(at - 0.5, color="0.88", linewidth=0.5, zorder=0)
-    for row, line in enumerate(layout):
-        for at, what in enumerate(line):
-            if what == OBSTACLE:
-                axes.add_patch(Rectangle((at - 0.5, row - 0.5), 1, 1, color=WALL, zorder=2))
+    across = [[(-0.5, at - 0.5), (n_columns - 0.5, at - 0.5)] for at in range(1, n_rows)]
+    down = [[(at - 0.5, -0.5), (at - 0.5, n_rows - 0.5)] for at in range(1, n_columns)]
+    axes.add_collection(LineCollection(across + down, colors="0.88", linewidths=0.5, zorder=0))
+    walls = [(row, at) for row, line in enumerate(layout) for at, what in enumerate(line) if what == OBSTACLE]
+    blocks = [Rectangle((at - 0.5, row - 0.5), 1, 1) for row, at in walls]
+    axes.add_collection(PatchCollection(blocks, color=WALL, zorder=2))

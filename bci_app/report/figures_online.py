@@ -1,0 +1,282 @@
+"""Figures of the online runs: ways, success and steps, areas of the map, latencies; and of the electrodes."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+
+from bci_app.gridworld import FREE
+from bci_app.report import Row, Tables, distinct, those
+from bci_app.report.drawing import AREA_LOOKS, LOOK, Drawn, looks, percent
+from bci_app.report.figures_erp import head_map
+from bci_app.report.steps import BORDER, area_of, way
+from decoder.montage import canonical, template
+from policy.experiment1.figures_on_maps import ERROR, GOAL, START, draw_way, empty_map
+from policy.experiment1.plotting import BLUE, GREY, ORANGE, sheet, title
+
+COLUMNS = 5
+"""Episodes beside each other."""
+
+
+def ways(tables: Tables, participant: str, visit: str, run: str) -> Drawn | None:
+    """The agent's way in each episode of a run, by initial distance."""
+    moves = those(tables.get("moves", []), participant=participant, visit=visit, run=run)
+    episodes = those(tables.get("episodes", []), participant=participant, visit=visit, run=run)
+    episodes = [row for row in episodes if row["steps"]]
+    if not moves or not episodes:
+        return None
+    layout = _layout(tables, moves[0]["map"])
+    episodes.sort(key=lambda row: (row["distance"] is None, row["distance"], row["episode"]))
+    n_rows = -(-len(episodes) // COLUMNS)
+    longest = max(row["steps"] for row in episodes)
+    with matplotlib.rc_context(LOOK):
+        figure, grid = sheet(n_rows, COLUMNS, 1.45 * n_rows + 0.55)
+        # Laid out by hand: matplotlib takes half a second to find out that all maps are alike.
+        figure.set_layout_engine(None)
+        height = figure.get_figheight()
+        figure.subplots_adjust(0.01, 0.45 / height, 0.87, 1 - 0.2 / height, 0.06, 0.16)
+        for axes in grid.flat[len(episodes) :]:
+            axes.set_axis_off()
+        for axes, episode in zip(grid.flat, episodes, strict=False):
+            mine = those(moves, episode=episode["episode"])
+            empty_map(axes, layout)
+            axes.set_title(_ended(episode), fontsize=7)
+            if mine:
+                cells = np.array(way(mine), dtype=np.float64)
+                goal = (episode["goal_row"], episode["goal_column"])
+                wrong = [False, *(bool(move["error"]) for move in mine)]
+                lines = draw_way(axes, cells, wrong, goal if goal[0] is not None else None, longest, size=0.55)
+        figure.colorbar(lines, cax=figure.add_axes((0.9, 0.3, 0.012, 0.4)), label="step")
+        marks = {"start": START, "goal": GOAL, "after a move that was an error": ERROR}
+        handles = [
+            Line2D([], [], linestyle="none", label=name, **{**mark, "markersize": 6}) for name, mark in marks.items()
+        ]
+        figure.legend(handles=handles, loc="lower center", ncols=len(marks))
+    reached = sum(row["success"] for row in episodes)
+    return Drawn(
+        figure,
+        f"Ways on {title(moves[0]['map']).lower()}, {participant}, {run}",
+        f"{len(episodes)} small maps with the agent's way from start to goal; {reached} reached it, in "
+        f"{np.mean([row['steps'] for row in episodes]):.1f} steps in the mean.",
+        "Above each map the initial distance to the goal and the steps made. Crosses: after a move that was an error.",
+    )
+
+
+def _ended(episode: Row) -> str:
+    distance = "" if episode["distance"] is None else f"{episode['distance']} away: "
+    return f"{distance}{episode['steps']} steps" + ("" if episode["success"] else ", failed")
+
+
+def by_distance(tables: Tables) -> Drawn | None:
+    """Success and steps by initial distance, all participants together."""
+    rows = tables.get("by_distance", [])
+    if not rows:
+        return None
+    maps = distinct(rows, "map")
+    style = {
+        name: {**look, "linestyle": line} for (name, look), line in zip(_map_looks(maps), ("-", "--") * 9, strict=False)
+    }
+    single = all(row["n_episodes"] == 1 for row in rows)
+    with matplotlib.rc_context(LOOK):
+        figure, grid = sheet(1, 2, 2.9)
+        for name in maps:
+            mine = those(rows, map=name)
+            x = np.array([row["distance"] for row in mine])
+            for axes, key, scale in ((grid[0, 0], "success", 100), (grid[0, 1], "mean", 1)):
+                y = scale * np.array([row[key] for row in mine], dtype=float)
+                axes.plot(x, y, **style[name], alpha=0.9)
+                if not single:
+                    ends = ("success_low", "success_high") if key == "success" else ("low", "high")
+                    low, high = (scale * np.array([row[end] for row in mine], dtype=float) for end in ends)
+                    axes.fill_between(x, low, high, color=style[name]["color"], alpha=0.12, linewidth=0)
+        longest = max(row["distance"] for row in rows)
+        grid[0, 1].plot([0, longest], [0, longest], color=GREY, linestyle=":", linewidth=1)
+        grid[0, 0].set(ylabel="episodes that reached the goal (%)", ylim=(-3, 103))
+        # Intervals of two or three episodes may be as wide as they like.
+        grid[0, 1].set(ylabel="steps an episode", ylim=(0, 1.15 * max(*(row["mean"] for row in rows), longest)))
+        for axes in grid[0]:
+            axes.set(xlabel="initial distance to the goal (moves)", xlim=(0, longest + 1))
+        handles = [Line2D([], [], label=title(name), **style[name]) for name in maps]
+        handles.append(Line2D([], [], color=GREY, linestyle=":", label="shortest way"))
+        figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    told = "; ".join(
+        f"{title(name).lower()}: {percent(np.average(*_weighted(rows, name, 'success')))} reached the goal, "
+        f"{np.average(*_weighted(rows, name, 'mean')):.1f} steps in the mean"
+        for name in maps
+    )
+    return Drawn(
+        figure,
+        "Success and steps by initial distance",
+        f"Two panels. {told}.",
+        "Failed episodes count with the steps they took. "
+        + (
+            "One episode a distance and map."
+            if single
+            else "Bands: 95 % intervals, Wilson's of shares, Student's of means."
+        ),
+    )
+
+
+def _weighted(rows: list[Row], name: str, key: str) -> tuple[list[float], None, list[int]]:
+    mine = those(rows, map=name)
+    return [row[key] for row in mine], None, [row["n_episodes"] for row in mine]
+
+
+def _map_looks(maps: Sequence[str]) -> list[tuple[str, dict[str, Any]]]:
+    found = looks(maps)
+    return [(name, found[name]) for name in maps]
+
+
+def areas(tables: Tables) -> Drawn | None:
+    """Fig. 10 and 12: the two areas, and how often verdicts are right in each."""
+    rows = tables.get("area_accuracy", [])
+    if not rows:
+        return None
+    maps = distinct(rows, "map")
+    with matplotlib.rc_context(LOOK):
+        figure, grid = sheet(len(maps), 2, 2.45 * len(maps) + 0.5, width_ratios=(1, 2.2))
+        for line, name in zip(grid, maps, strict=True):
+            _draw_areas(line[0], _layout(tables, name))
+            line[0].set_title(title(name))
+            _draw_accuracy(line[1], those(rows, map=name))
+        handles = [
+            Line2D([], [], linestyle="none", label=f"{name} area", **{**look, "markersize": 6})
+            for name, look in AREA_LOOKS.items()
+        ]
+        figure.legend(handles=handles, loc="outside lower center", ncols=2)
+    tests = tables.get("area_test", [])
+    group = those(tests, participant="all") or tests
+    told = "; ".join(
+        f"{title(row['map']).lower()}: central {percent(row['central'])}, edge {percent(row['edge'])}, difference "
+        f"{100 * row['difference']:+.1f} points [{100 * row['low']:+.1f}, {100 * row['high']:+.1f}], p = "
+        f"{row['p']:.3f} ({row['test']})"
+        for row in group
+    )
+    return Drawn(
+        figure,
+        "Verdicts in the central and in the edge area",
+        f"Maps with the two areas, and accuracies in each. {told}.",
+        f"As the paper's Fig. 10 and 12. A move counts where it led. Edge: within {BORDER} cells of the wall (decided; "
+        "the paper's Fig. 10 is a drawing without numbers, and it tells no test). Bars: Wilson's 95 % intervals. "
+        f"{told}.",
+    )
+
+
+def _draw_areas(axes: Axes, layout: list[str]) -> None:
+    empty_map(axes, layout)
+    height, width = len(layout), len(layout[0])
+    for name, look in AREA_LOOKS.items():
+        cells = [
+            Rectangle((column - 0.5, row - 0.5), 1, 1)
+            for row in range(height)
+            for column in range(width)
+            if layout[row][column] == FREE and area_of((row, column), height, width) == name
+        ]
+        axes.add_collection(PatchCollection(cells, color=look["color"], alpha=0.35, linewidth=0, zorder=1))
+
+
+def _draw_accuracy(axes: Axes, rows: list[Row]) -> None:
+    """By participant; of a single one also of errors and of correct moves."""
+    people = distinct(rows, "participant")
+    measures = ("accuracy", "hit_rate", "correct_rejection_rate") if len(people) == 1 else ("accuracy",)
+    labels = ["all moves", "errors", "correct moves"] if len(people) == 1 else people
+    for area, look in AREA_LOOKS.items():
+        places = [
+            (row, name)
+            for person in people
+            for row in those(rows, participant=person, area=area)[:1]
+            for name in measures
+        ]
+        for place, (row, name) in enumerate(places):
+            if row[name] is None:
+                continue
+            value = 100 * row[name]
+            reach = [[value - 100 * row[f"{name}_low"]], [100 * row[f"{name}_high"] - value]]
+            x = place + (-0.12 if area == "central" else 0.12)
+            axes.errorbar(x, value, yerr=reach, capsize=2, linestyle="none", **look)
+    axes.set_xticks(range(len(labels)), labels, rotation=45 if len(labels) > 8 else 0)
+    axes.axhline(50, color=GREY, linestyle=":", linewidth=1)
+    axes.set(ylabel="right verdicts (%)", ylim=(None, 102), xlim=(-0.5, len(labels) - 0.5))
+
+
+STAGES = {"verdict": BLUE, "policy": ORANGE, "action": GREY, "late frame": GREY}
+
+
+def latencies(tables: Tables) -> Drawn | None:
+    """What the loop adds between a move's last sample and the next action, by run."""
+    rows = [row for row in tables.get("latency", []) if row["what"] in ("verdict", "policy", "action", "late frame")]
+    if not rows:
+        return None
+    names = [(row["participant"], row["run"], row["what"]) for row in rows]
+    several = len(distinct(rows, "participant")) > 1
+    with matplotlib.rc_context(LOOK):
+        figure, grid = sheet(1, 1, 0.9 + 0.22 * len(rows))
+        axes = grid[0, 0]
+        for place, row in enumerate(rows):
+            colour = STAGES[row["what"]]
+            low = max(row["min_ms"], 1e-3)
+            axes.plot([low, row["max_ms"]], [place, place], color=colour, linewidth=1)
+            axes.plot([low, row["p95_ms"]], [place, place], color=colour, linewidth=5, solid_capstyle="butt", alpha=0.5)
+            axes.plot(row["p50_ms"], place, color=colour, marker="o", linestyle="none")
+            axes.plot(row["p99_ms"], place, color=colour, marker="|", markersize=8, linestyle="none")
+        labels = [f"{who + ' ' if several else ''}{run}: {what}" for who, run, what in names]
+        axes.set_yticks(range(len(rows)), labels)
+        axes.invert_yaxis()
+        axes.set(xscale="log", xlabel="real ms")
+        axes.xaxis.set_major_formatter("{x:g}")
+    told = "; ".join(f"{row['run']} {row['what']}: {row['p50_ms']:.1f} and {row['p99_ms']:.1f} ms" for row in rows[:8])
+    return Drawn(
+        figure,
+        "Latencies of the loop",
+        f"Ranges on a logarithmic axis. Median and 99th percentile: {told}.",
+        "Dot: median; thick: from the least to the 95th percentile; tick: 99th percentile; thin: to the largest. "
+        "Verdict: from the arrival of a move's last EEG sample to the verdict. Policy: from the verdict's arrival to "
+        "the action. Action: from verdict to action as both were sent, so with the way between the two processes.",
+    )
+
+
+def electrodes(tables: Tables) -> Drawn | None:
+    """How often each electrode was bad, over the head; nothing where none ever was."""
+    rows = tables.get("electrodes", [])
+    places = {canonical(name): name for name in template().ch_names}
+    shares = {
+        name: float(np.mean([row["share_of_moves"] for row in those(rows, channel=name)]))
+        for name in distinct(rows, "channel")
+        if canonical(name) in places
+    }
+    names = list(dict.fromkeys([*distinct(tables.get("erp_maps", []), "channel"), *shares]))
+    names = [name for name in names if canonical(name) in places]
+    if not shares or len(names) < 8:
+        return None
+    values = np.array([100 * shares.get(name, 0.0) for name in names])
+    spelt = [places[canonical(name)] for name in names]
+    with matplotlib.rc_context(LOOK):
+        figure, grid = sheet(1, 1, 3.0)
+        figure.set_figwidth(3.8)
+        most = max(1.0, 1.6 * float(values.max()))  # names must be read on the darkest place
+        image = head_map(
+            grid[0, 0], values, spelt, cmap="Oranges", vlim=(0, most), names=_labels(names, shares), contours=0
+        )
+        figure.colorbar(image, ax=grid[0, 0], shrink=0.7, label="moves while it was bad (%)")
+    told = "; ".join(
+        f"{name} {percent(share)}" for name, share in sorted(shares.items(), key=lambda item: -item[1])[:12]
+    )
+    return Drawn(
+        figure,
+        "Bad electrodes",
+        f"Map of the head. Share of moves while an electrode was bad: {told}.",
+        "In the mean over the runs in which it was found bad. Bad electrodes are repaired from the others.",
+    )
+
+
+def _labels(names: Sequence[str], shares: dict[str, float]) -> list[str]:
+    return [name if shares.get(name) else "" for name in names]
+
+
+def _layout(tables: Tables, name: str) -> list[str]:
+    return [row["cells"] for row in those(tables["maps"], map=name)]

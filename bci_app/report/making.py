@@ -1,0 +1,109 @@
+"""`bci-app report`: recordings in, a folder with a page, figures and tables out."""
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from bci_app.errors import SetupError
+from bci_app.progress import Progress
+from bci_app.recording import NotOurs
+from bci_app.report import Row, Tables, contents, merged, page, sources, study, visits
+from bci_app.report.drawing import Written, write
+
+
+def make(paths: Sequence[Path], out: Path | None, allow_damage: bool, progress: Progress) -> dict[str, Any]:
+    """Make a report of recordings, or of all in a folder.
+
+    Parameters
+    ----------
+    out : folder of the report; by default ``report`` beside the recordings, numbered from the second on.
+
+    Returns ``report``, the page's path, ``participants``, ``recordings``, ``left_out`` (recordings in a folder that are
+    somebody else's), ``errors`` and ``warnings`` (how many things went wrong), ``figures``, ``tables`` and ``seconds``.
+    Raises SetupError for recordings that can't be used, and for a folder that isn't empty.
+    """
+    started = perf_counter()
+    files = sources.find(paths)
+    wanted = sources.visits([sources.source(path) for path in files])
+    folder = _folder(out, files, wanted)
+    seen, left_out = [], []
+    named = {path.absolute() for path in paths}
+    for number, visit in enumerate(wanted):
+        try:
+            seen.append(visits.see(visit, allow_damage, lambda what, n=number: progress(what, n, len(wanted) + 1)))  # type: ignore[misc]
+        except NotOurs as error:
+            if any(source.path in named for run in visit.runs for source in run):
+                raise
+            left_out.append(str(error))
+    if not seen:
+        raise SetupError(f"None of the {len(files)} recordings is of this experiment. {left_out[0]}")
+    tables = study.complete(merged([each.tables for each in seen]))
+    figures = [each.figures for each in seen]
+    progress("drawing", len(wanted), len(wanted) + 1)
+    written = write_report(folder, tables, figures)
+    progress("done", len(wanted) + 1, len(wanted) + 1)
+    levels = [row["level"] for row in tables.get("events", [])]
+    return {
+        "report": str(folder / "report.html"),
+        "participants": len({each["participant"] for each in figures}),
+        "recordings": len(files) - len(left_out),
+        "left_out": left_out,
+        "errors": levels.count("error"),
+        "warnings": levels.count("warning"),
+        "figures": len(written),
+        "tables": sum(bool(rows) for rows in tables.values()),
+        "seconds": perf_counter() - started,
+    }
+
+
+def write_report(folder: Path, tables: Tables, figures: Sequence[Mapping[str, Any]]) -> dict[str, Written]:
+    """Write figures, tables and page into a new folder; the figures by name.
+
+    Parameters
+    ----------
+    tables : of `report.study.complete`.
+    figures : of each participant's session, `report.visits.Seen.figures`.
+    """
+    try:
+        for each in (folder / "figures", folder / "tables"):
+            each.mkdir(parents=True)
+        written = {}
+        for name, draw in contents.drawings(tables):
+            drawn = draw()
+            if drawn is not None:
+                written[name] = write(name, drawn, folder / "figures")
+        for name, rows in tables.items():
+            if rows:
+                _write_table(folder / "tables" / name, rows)
+        summary = json.dumps({"sessions": list(figures)}, indent=2)
+        (folder / "report.json").write_text(summary + "\n", encoding="utf-8")
+        text = page.render(
+            contents.title(tables), contents.summary(tables, figures), contents.sections(tables, written, figures)
+        )
+        (folder / "report.html").write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise SetupError(
+            f"Can't write the report into {folder}: {error.strerror}. Free or unlock the disk, or choose another --out."
+        ) from error
+    return written
+
+
+def _folder(out: Path | None, files: Sequence[Path], wanted: Sequence[sources.Visit]) -> Path:
+    if out is None:
+        return sources.free_folder(sources.folder_of(files, wanted))
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise SetupError(f"{out} is there already, and nothing is overwritten. Name a new folder with --out.")
+    return out
+
+
+def _write_table(stem: Path, rows: Sequence[Row]) -> None:
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    with stem.with_name(f"{stem.name}.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, columns)
+        writer.writeheader()
+        writer.writerows(rows)
+    lines = ",\n".join(json.dumps(row) for row in rows)
+    stem.with_name(f"{stem.name}.json").write_text(f"[\n{lines}\n]\n", encoding="utf-8")

@@ -1,0 +1,172 @@
+"""What went wrong in a run, and how good its signals were: as rows."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bci_app.moves import electrodes
+from bci_app.protocol import (
+    Continued,
+    LateFrame,
+    Link,
+    Note,
+    Pause,
+    Resume,
+    Returned,
+    SessionEnd,
+    Status,
+    Truth,
+)
+from bci_app.recording import Recording
+from bci_app.report import Row
+from decoder.timeline import piece_edges
+
+Event = tuple[float | None, str, str, str, str]
+"""Stamp (s), kind, level, role, text."""
+
+
+def event_rows(recording: Recording, sidecar: Mapping[str, Any], **where: object) -> list[Row]:
+    """All that a reader must know, in order: notes, pauses, restarts, links that were lost, late frames, gaps, damage,
+    and how the run ended. ``time_s`` counts from the first message; None for what belongs to no moment."""
+    first = recording.messages[0].stamp if recording.messages else 0.0
+    rows = []
+    for stamp, kind, level, role, text in (*_of_file(recording, sidecar), *sorted(_said(recording), key=_moment)):
+        time = None if stamp is None else stamp - first
+        rows.append({**where, "time_s": time, "kind": kind, "level": level, "role": role, "text": text})
+    return rows
+
+
+def _moment(event: Event) -> float:
+    return -np.inf if event[0] is None else event[0]
+
+
+def _of_file(recording: Recording, sidecar: Mapping[str, Any]) -> Iterator[Event]:
+    for sentence in recording.damage:
+        yield None, "damage", "error", "", sentence
+    for sentence in sidecar.get("missing") or []:
+        yield None, "damage", "error", "", str(sentence)
+    if not sidecar:
+        yield None, "file", "warning", "", "There is no sidecar: settings, decoder, policy and speed aren't known."
+    elif sidecar.get("state") not in ("closed", None):
+        yield None, "file", "error", "session", f"The run was never closed: its sidecar says {sidecar['state']}."
+    if not recording.of(Truth):
+        yield None, "file", "warning", "", "There is no truth: verdicts can't be compared with anything."
+    edges = piece_edges(recording.times)
+    gaps = np.diff(recording.times)[edges[1:-1] - 1]
+    if len(gaps):
+        yield (
+            None,
+            "gap",
+            "warning",
+            "",
+            f"The EEG has {len(gaps)} gaps of a second or more, {gaps[gaps > 0].sum():.1f} s together.",
+        )
+
+
+def _said(recording: Recording) -> Iterator[Event]:
+    for stamp, note in recording.of(Note):
+        yield stamp, "note", note.level, note.role, note.text
+    yield from _pauses(recording)
+    yield from _restarts(recording)
+    for stamp, failed in recording.of(Status):
+        if failed.state == "failed":
+            yield stamp, "failed", "error", failed.role, failed.text
+            break
+    yield from _links(recording)
+    late = [frame for _, frame in recording.of(LateFrame)]
+    if late:
+        jumps = sum(frame.step is not None for frame in late)
+        worst = max(frame.late_ms for frame in late)
+        text = f"{len(late)} frames came late, {jumps} of them with a jump; the worst by {worst:.1f} ms."
+        yield None, "late frame", "warning", "stimulus", text
+    ends = recording.of(SessionEnd)
+    if not ends:
+        yield None, "end", "error", "", "The recording has no end: the run was broken off, or its recorder was."
+    elif ends[-1][1].reason != "complete":
+        yield ends[-1][0], "end", "error", "stimulus", f"The run was {ends[-1][1].reason}: {ends[-1][1].text}"
+
+
+def _pauses(recording: Recording) -> Iterator[Event]:
+    begun: tuple[float, Pause] | None = None
+    for item in recording.messages:
+        match item.message:
+            case Pause() if begun is None:
+                begun = item.stamp, item.message
+            case Resume() if begun is not None:
+                yield _pause(*begun, item.stamp)
+                begun = None
+    if begun is not None:
+        yield _pause(*begun, None)
+
+
+def _pause(stamp: float, pause: Pause, until: float | None) -> Event:
+    length = "until the end" if until is None else f"for {until - stamp:.1f} s"
+    return stamp, "pause", "info" if pause.by_person else "warning", "stimulus", f"Paused {length}: {pause.reason}"
+
+
+def _restarts(recording: Recording) -> Iterator[Event]:
+    """Who was started again says so until it is answered: the first of a few seconds counts."""
+    newest: dict[str, float] = {}
+    for stamp, back in recording.of(Returned):
+        if stamp - newest.get(back.role, -np.inf) > 60:
+            yield stamp, "restart", "warning", back.role, f"The {back.role} was started again."
+        newest[back.role] = stamp
+    for stamp, went_on in recording.of(Continued):
+        after = "an episode's end" if went_on.step is None else f"step {went_on.step}"
+        text = f"The stimulus went on after {after} of episode {went_on.episode}."
+        yield stamp, "restart", "warning", "stimulus", text
+
+
+def _links(recording: Recording) -> Iterator[Event]:
+    newest: dict[tuple[str, str], tuple[float, Link]] = {}
+    for stamp, link in recording.of(Link):
+        newest[link.role, link.stream] = stamp, link
+    for (role, stream), (stamp, link) in newest.items():
+        if link.gaps or link.reconnects:
+            text = f"Stream {stream}: samples were missing {link.gaps} times, it was away {link.reconnects} times."
+            yield stamp, "link", "warning", role, text
+
+
+def electrode_rows(recording: Recording, moves: Sequence[Row], **where: object) -> list[Row]:
+    """Each channel that was found bad: its faults, and the share of moves judged while it was."""
+    decisions = electrodes(recording)
+    keys = sorted(decisions)
+    faults: dict[str, Counter[str]] = {}
+    n_bad: Counter[str] = Counter()
+    for key in keys:
+        for name, found in decisions[key].bad.items():
+            faults.setdefault(name, Counter()).update(found)
+    places = np.searchsorted(np.array([k[0] * 1e6 + k[1] for k in keys]), [_order(m) for m in moves], side="right")
+    for place in places[places > 0]:
+        n_bad.update(decisions[keys[place - 1]].bad.keys())
+    return [
+        {
+            **where,
+            "channel": name,
+            "faults": ", ".join(each for each, _ in found.most_common()),
+            "share_of_moves": n_bad[name] / len(moves) if moves else 0.0,
+        }
+        for name, found in sorted(faults.items())
+    ]
+
+
+def _order(move: Row) -> float:
+    return float(move["episode"] * 1e6 + move["step"])
+
+
+def rejected_rows(moves: Sequence[Row], **where: object) -> list[Row]:
+    """How many moves were judged, weren't, and why not."""
+    total, outcomes = len(moves), Counter(_outcome(move) for move in moves)
+    return [
+        {**where, "outcome": outcome, "reason": reason, "n": n, "of": total}
+        for (outcome, reason), n in sorted(outcomes.items(), key=lambda item: -item[1])
+    ]
+
+
+def _outcome(move: Row) -> tuple[str, str]:
+    verdict = move["verdict"] or "none"
+    if verdict == "rejected":
+        return verdict, move["reason"] or "not said"
+    return {"unjudged": "valid", "error": "judged", "correct": "judged"}.get(verdict, "no verdict"), ""

@@ -1,0 +1,456 @@
+"""The report: its numbers are those that were told before, its page needs nothing else, bad input is said to be bad."""
+
+import csv
+import json
+import re
+from base64 import b64decode
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from recorded_by_hand import BETWEEN_S, Wish, messages, recording, without, write
+from typer.testing import CliRunner
+
+from bci_app import fitting, metrics
+from bci_app.cli import app
+from bci_app.config import Config
+from bci_app.errors import SetupError
+from bci_app.protocol import (
+    Continued,
+    Electrodes,
+    EpisodeEnd,
+    EpisodeGoal,
+    LateFrame,
+    Link,
+    Note,
+    Pause,
+    Resume,
+    Returned,
+    SessionEnd,
+    SessionStart,
+    Truth,
+    Verdict,
+)
+from bci_app.recording import Recording, Stamped, read
+from bci_app.report import Tables, contents, making, merged, study, those
+from bci_app.report.sources import Source, Visit, free_folder, missing, visits
+from bci_app.report.visits import see_recordings
+from bci_app.runs import checksum
+
+EEG = "sub-P001/ses-S001/eeg/sub-P001_ses-S001_task-{}_run-{:03d}_eeg.xdf"
+WISHES = (Wish(), Wish("online", "open", 4, 12, 0.3, 2), Wish("online", "obstacles", 4, 12, 0.3, 3))
+
+
+def nothing(*_: object) -> None:
+    """Nobody looks at progress here."""
+
+
+def put(folder: Path, whole: Recording, task: str, number: int, **sidecar: Any) -> Path:
+    """A recording and its sidecar, where a run would put them."""
+    path = write(whole, folder / EEG.format(task, number))
+    told = {"participant": "P001", "speed": 2.0, "simulated": True, "state": "closed", **sidecar}
+    path.with_suffix(".json").write_text(json.dumps(told), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole() -> list[Recording]:
+    return [recording(wish) for wish in WISHES]
+
+
+@pytest.fixture(scope="module")
+def study_folder(tmp_path_factory: pytest.TempPathFactory, whole: list[Recording]) -> tuple[Path, dict[str, Any]]:
+    """A calibration, its decoder, a run on each map; and what `fit` told."""
+    folder = tmp_path_factory.mktemp("recordings")
+    fitted = fitting.fit([put(folder, whole[0], "calibration", 1)], Config(), False, nothing)
+    used = {
+        "model": {"path": fitted["model"], "sha256": checksum(Path(fitted["model"]))},
+        "policy": {"path": "open_told.safetensors"},
+    }
+    for number, each in enumerate(whole[1:], 1):
+        put(folder, each, "online", number, **used)
+    (folder / "notes.txt").write_text("of the lab")
+    write(replace(whole[0], messages=(), markers=()), folder / "sub-P002" / "somebody_elses.xdf")
+    return folder, fitted
+
+
+@pytest.fixture(scope="module")
+def made(study_folder: tuple[Path, dict[str, Any]], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    folder, _ = study_folder
+    return making.make([folder], tmp_path_factory.mktemp("out") / "report", False, nothing)
+
+
+def table(made: dict[str, Any], name: str) -> list[dict[str, Any]]:
+    path = Path(made["report"]).parent / "tables" / f"{name}.json"
+    rows: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
+    return rows
+
+
+def tables_of(*recordings: Recording, sidecar: dict[str, Any] | None = None) -> Tables:
+    """The tables of a visit that never was on a disk."""
+    runs = tuple((Source(each.path, sidecar or {}, "P001", "S001"),) for each in recordings)
+    seen = see_recordings(Visit("P001", "S001", runs), [[each] for each in recordings])
+    return study.complete(merged([seen.tables]))
+
+
+def said(tables: Tables) -> str:
+    return "\n".join(f"{row['kind']}: {row['text']}" for row in tables["events"])
+
+
+# What it says.
+
+
+def test_the_numbers_are_those_that_fit_and_online_tell(made: Any, study_folder: Any, whole: list[Recording]) -> None:
+    (session,) = json.loads((Path(made["report"]).parent / "report.json").read_text(encoding="utf-8"))["sessions"]
+    assert session["calibration"] == json.loads(json.dumps(study_folder[1]["calibration"]))
+    assert session["online"] == {"open": metrics.online([whole[1]]), "obstacles": metrics.online([whole[2]])}
+    assert session["latency"] == metrics.latencies(whole[1:], 2.0)
+    assert made["participants"] == 1
+    assert (made["recordings"], len(made["left_out"])) == (3, 1)
+    assert "somebody_elses" in made["left_out"][0]
+
+
+def test_tables_hold_the_same_numbers_as_the_figures(made: Any, study_folder: Any, whole: list[Recording]) -> None:
+    (one,) = those(table(made, "table_1"), series="ours")
+    fitted = study_folder[1]["calibration"]
+    assert one["tenfold_accuracy"] == fitted["tenfold"]["accuracy"]["value"]
+    assert one["contiguous_auc_low"] == fitted["blocked"]["auc"]["low"]
+    told = metrics.online([whole[1]])
+    assert one["open_accuracy"] == told["verdict_accuracy"]
+    assert one["open_balanced_accuracy"] == told["verdict_balanced_accuracy"]
+    (two,) = those(table(made, "table_2"), series="ours")
+    assert (two["open_success"], two["open_mean_steps_all"]) == (told["success"], told["mean_steps"])
+    (counts,) = those(table(made, "confusion"), source="open")
+    found = metrics.confusion(whole[1])
+    assert [counts[name] for name in ("hits", "misses", "false_alarms")] == [
+        found.hits,
+        found.misses,
+        found.false_alarms,
+    ]
+    published = those(table(made, "table_2"), participant="S10")
+    assert published[0]["obstacles_mean_steps"] == 23.61
+    (ours,) = those(table(made, "table_a_open"), series="ours")
+    steps = [int(n) for name, value in ours.items() if name.startswith("distance_") for n in value.split(", ")]
+    assert sorted(steps) == sorted(end.steps for _, end in whole[1].of(EpisodeEnd))
+
+
+def test_a_table_is_the_same_as_csv_and_as_json(made: Any) -> None:
+    folder = Path(made["report"]).parent / "tables"
+    names = {path.stem for path in folder.glob("*.json")}
+    assert names == {path.stem for path in folder.glob("*.csv")}
+    for name in names:
+        with (folder / f"{name}.csv").open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        written = table(made, name)
+        assert len(rows) == len(written)
+        for key, value in written[0].items():
+            assert rows[0][key] == ("" if value is None else str(value))
+
+
+def test_every_table_and_column_is_in_the_docs(made: Any) -> None:
+    text = (Path(__file__).parents[1] / "docs" / "report.md").read_text(encoding="utf-8")
+    for path in (Path(made["report"]).parent / "tables").glob("*.json"):
+        name = "table_a_MAP" if path.stem.startswith("table_a_") else path.stem
+        assert f"### `{name}`" in text, name
+        part = text.split(f"### `{name}`")[1].split("\n### ")[0]
+        for column in {column for row in table(made, path.stem) for column in row}:
+            plain = re.sub(r"_(low|high)$", "", column)
+            alike = re.sub(
+                r"^(tenfold|contiguous|open|obstacles)_", "SOURCE_", re.sub(r"distance_\d+", "distance_N", plain)
+            )
+            assert f"`{plain}`" in part or f"`{alike}`" in part or f"`{column}`" in part, (name, column)
+
+
+# The page.
+
+
+class Page(HTMLParser):
+    """What matters of a page: headings, images, links, tables."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.headings: list[int] = []
+        self.images: list[dict[str, str | None]] = []
+        self.references: list[str] = []
+        self.ids: list[str] = []
+        self.scopes = 0
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        self.headings += [int(tag[1])] if re.fullmatch("h[1-6]", tag) else []
+        self.images += [given] if tag == "img" else []
+        self.references += [str(given[name]) for name in ("src", "href") if name in given]
+        self.ids += [str(given["id"])] if "id" in given else []
+        self.scopes += tag == "th" and given.get("scope") in ("row", "col")
+
+
+@pytest.fixture(scope="module")
+def page(made: Any) -> tuple[str, Page]:
+    text = Path(made["report"]).read_text(encoding="utf-8")
+    return text, Page(text)
+
+
+def test_the_page_needs_no_network(page: tuple[str, Page]) -> None:
+    text, parsed = page
+    assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]+", "", text)
+    assert "<script" not in text
+    assert all(reference.startswith(("data:", "#")) for reference in parsed.references)
+    assert {reference[1:] for reference in parsed.references if reference[0] == "#"} <= set(parsed.ids)
+    for image in parsed.images:
+        svg = b64decode(str(image["src"]).partition("base64,")[2])
+        root = ElementTree.fromstring(svg)
+        links = [value for node in root.iter() for name, value in node.attrib.items() if name.endswith("href")]
+        assert all(link.startswith(("#", "data:")) for link in links)
+        assert b"<!DOCTYPE" not in svg
+        assert b"<metadata" not in svg
+
+
+def test_the_page_can_be_read_without_seeing_it(page: tuple[str, Page]) -> None:
+    text, parsed = page
+    assert len(parsed.images) >= 12
+    assert all(len(image["alt"] or "") > 40 for image in parsed.images)
+    assert parsed.headings[0] == 1
+    assert parsed.headings.count(1) == 1
+    assert all(b - a <= 1 for a, b in zip(parsed.headings, parsed.headings[1:], strict=False))
+    assert len(set(parsed.ids)) == len(parsed.ids)
+    assert parsed.scopes > 100
+    assert '<html lang="en">' in text
+    assert "nan" not in re.sub(r"base64,[A-Za-z0-9+/=]+", "", text).lower().replace("finance", "")
+
+
+def luminance(colour: str) -> float:
+    parts = [int(colour[place : place + 2], 16) / 255 for place in (1, 3, 5)]
+    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+    return float(np.dot(linear, (0.2126, 0.7152, 0.0722)))
+
+
+def test_letters_stand_out_in_light_and_dark(page: tuple[str, Page]) -> None:
+    """WCAG 2.2, 1.4.3: a contrast of 4.5 at least; here 7, its stricter 1.4.6."""
+    found = re.findall(r":root \{ (--paper.*?) \}", page[0])
+    assert len(found) == 3
+    for palette in found[:2]:
+        colours = dict(re.findall(r"--(\w+): (#[0-9a-f]{6})", palette))
+        for ground in ("paper", "band"):
+            for letters in ("ink", "quiet", "link"):
+                light, dark = sorted((luminance(colours[ground]), luminance(colours[letters])), reverse=True)
+                assert (light + 0.05) / (dark + 0.05) >= 7 - (ground == "band"), (ground, letters)
+
+
+def test_figures_are_there_for_publication(made: Any) -> None:
+    folder = Path(made["report"]).parent / "figures"
+    names = {path.stem for path in folder.glob("*.svg")}
+    assert len(names) == made["figures"]
+    assert {"erp_online", "erp_maps_online", "erp_areas", "verdicts_decisions", "online_areas", "electrodes"} <= names
+    for name in names:
+        assert (folder / f"{name}.pdf").read_bytes().startswith(b"%PDF")
+        assert ElementTree.parse(folder / f"{name}.svg").getroot().tag.endswith("svg")
+
+
+# Where it goes.
+
+
+def test_nothing_is_overwritten(made: Any, study_folder: Any, tmp_path: Path) -> None:
+    with pytest.raises(SetupError, match="is there already, and nothing is overwritten"):
+        making.make([study_folder[0]], Path(made["report"]).parent, False, nothing)
+    (tmp_path / "report").mkdir()
+    assert free_folder(tmp_path) == tmp_path / "report-2"
+
+
+def test_runs_that_go_on_from_each_other_come_together() -> None:
+    def of(name: str, *before: str) -> Source:
+        return Source(Path(name), {"continues": list(before)}, "P001", "S001")
+
+    first, second, third, other = of("a"), of("b", "a"), of("c", "a", "b"), of("d")
+    (visit,) = visits([third, other, second, first])
+    assert visit.runs == ((first, second, third), (other,))
+    assert not missing(visit.runs[0])
+    assert missing([third]) == ["a", "b"]
+    parts = visits([of("a"), Source(Path("e"), {}, "P002", "S001"), Source(Path("f"), {}, "P001", "S002")])
+    assert [(part.participant, part.visit) for part in parts] == [("P001", "S001"), ("P001", "S002"), ("P002", "S001")]
+
+
+# Bad input.
+
+
+def test_what_is_no_recording_of_ours_is_refused(study_folder: Any, tmp_path: Path) -> None:
+    folder = study_folder[0]
+    with pytest.raises(SetupError, match="isn't our experiment's run"):
+        making.make([folder / "sub-P002" / "somebody_elses.xdf"], tmp_path / "out", False, nothing)
+    with pytest.raises(SetupError, match="None of the 1 recordings is of this experiment"):
+        making.make([folder / "sub-P002"], tmp_path / "out", False, nothing)
+    with pytest.raises(SetupError, match="is not an XDF recording"):
+        making.make([folder / "notes.txt"], tmp_path / "out", False, nothing)
+    with pytest.raises(SetupError, match=r"There is no recording .*absent\.xdf"):
+        making.make([folder / "absent.xdf"], tmp_path / "out", False, nothing)
+    with pytest.raises(SetupError, match="holds no recording"):
+        making.make([tmp_path], tmp_path / "out", False, nothing)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_damaged_recording_is_used_only_when_asked(whole: list[Recording], tmp_path: Path) -> None:
+    path = put(tmp_path, whole[1], "online", 1)
+    contents = path.read_bytes()
+    path.write_bytes(contents[: len(contents) // 3])
+    with pytest.raises(SetupError, match="--allow-damage"):
+        making.make([path], None, False, nothing)
+    tables = tables_of(read(path, allow_damage=True))
+    assert "damage: The file was cut off before it was closed" in said(tables)
+    assert contents_of(tables)
+
+
+def contents_of(tables: Tables) -> dict[str, Any]:
+    """All figures that can be drawn of some tables, drawn; and the page's parts."""
+    drawn = {name: found for name, draw in contents.drawings(tables) if (found := draw()) is not None}
+    assert contents.sections(tables, {}, [])
+    return drawn
+
+
+def test_a_calibration_of_one_class_is_said_to_be_one(whole: list[Recording]) -> None:
+    right = tuple(
+        Stamped(item.stamp, item.message.model_copy(update={"error": False}))
+        if isinstance(item.message, Truth)
+        else item
+        for item in whole[0].messages
+    )
+    tables = tables_of(replace(whole[0], messages=right))
+    assert "A decoder needs at least 20 error epochs; this calibration has 0" in said(tables)
+    drawn = contents_of(tables)
+    assert "erp_calibration" not in drawn
+    assert "verdicts_accuracy" not in drawn
+
+
+def test_without_a_truth_there_are_ways_and_steps(whole: list[Recording]) -> None:
+    tables = tables_of(without(whole[1], Truth, EpisodeGoal))
+    assert "There is no truth" in said(tables)
+    assert "There is no sidecar" in said(tables)
+    assert "Its decoder isn't there" in said(tables)
+    (two,) = those(tables["table_2"], series="ours")
+    assert two["open_n_episodes"] == 4
+    assert not tables.get("scores")
+    assert {"ways_P001_S001_by-hand", "latencies"} <= set(contents_of(tables))
+
+
+@pytest.mark.parametrize("protocol", [1, 2, 3, 4])
+def test_older_recordings_are_read(whole: list[Recording], tmp_path: Path, protocol: int) -> None:
+    """What a protocol hadn't is missing, and everything else is there."""
+    old = whole[1] if protocol > 2 else without(whole[1], Electrodes)
+    if protocol == 1:
+        plain = (
+            Stamped(i.stamp, i.message.model_copy(update={"evidence": None})) if isinstance(i.message, Verdict) else i
+            for i in old.messages
+        )
+        old = replace(old, messages=tuple(plain))
+    tables = tables_of(read(write(old, tmp_path / "old.xdf", protocol)))
+    assert those(tables["scores"], source="open", measure="accuracy")
+    assert bool(tables.get("reliability")) == (protocol > 1)
+    assert bool(tables["electrodes"]) == (protocol > 2)
+
+
+def test_what_went_wrong_is_told(whole: list[Recording]) -> None:
+    at, about = whole[1].messages[40].stamp, {"session": "by-hand"}
+    extra = [
+        Stamped(at, Note(role="decoder", level="warning", text="The EEG drifts.", **about)),
+        Stamped(at + 1, Pause(reason="P was pressed.", by_person=True, **about)),
+        Stamped(at + 8, Resume(**about)),
+        Stamped(at + 9, Returned(role="policy", **about)),
+        Stamped(at + 9.5, Returned(role="policy", **about)),
+        Stamped(at + 10, Continued(episode=1, step=2, **about)),
+        Stamped(at + 11, LateFrame(episode=0, step=3, late_ms=17.0, **about)),
+        Stamped(at + 12, LateFrame(episode=0, late_ms=4.0, **about)),
+        Stamped(at + 13, Link(role="decoder", stream="Amp", age_s=0.0, gaps=2, reconnects=1, **about)),
+        Stamped(at + 14, Pause(reason="The amplifier is gone.", **about)),
+    ]
+    ended = [item for item in whole[1].messages if not isinstance(item.message, SessionEnd)]
+    gap = np.r_[:9000, 10000 : len(whole[1].times)]
+    spoilt = replace(
+        whole[1],
+        messages=tuple(sorted([*ended, *extra], key=lambda item: item.stamp)),
+        samples=whole[1].samples[gap],
+        times=whole[1].times[gap],
+    )
+    tables = tables_of(spoilt, sidecar={"state": "recording", "missing": ["3 verdicts are missing."]})
+    lines = said(tables)
+    for sentence in (
+        "note: The EEG drifts.",
+        "pause: Paused for 7.0 s: P was pressed.",
+        "pause: Paused until the end: The amplifier is gone.",
+        "restart: The policy was started again.",
+        "restart: The stimulus went on after step 2 of episode 1.",
+        "late frame: 2 frames came late, 1 of them with a jump; the worst by 17.0 ms.",
+        "link: Stream Amp: samples were missing 2 times, it was away 1 times.",
+        "gap: The EEG has 1 gaps of a second or more, 4.0 s together.",
+        "end: The recording has no end",
+        "damage: 3 verdicts are missing.",
+        "file: The run was never closed: its sidecar says recording.",
+    ):
+        assert sentence in lines
+    assert lines.count("The policy was started again") == 1
+    (lost,) = those(tables["waveforms"], source="online")
+    assert lost["n_without"] > 0
+    (late,) = those(tables["latency"], what="late frame")
+    assert (late["n"], late["max_ms"]) == (2, 17.0)
+
+
+def test_somebody_who_only_opened_a_run_is_refused(whole: list[Recording]) -> None:
+    with pytest.raises(SetupError, match="holds no SessionStart"):
+        tables_of(without(whole[1], SessionStart))
+
+
+def test_a_study_has_means_and_tests_over_participants(made: Any) -> None:
+    """Seven times the same person, a little different each time: rows of each, and of all."""
+    names = [path.stem for path in (Path(made["report"]).parent / "tables").glob("*.json")]
+    own = {name: those(table(made, name), participant="P001") for name in names if name not in study_only(names)}
+    people = []
+    for number in range(7):
+        rng = np.random.default_rng(number)
+        mine = {name: [dict(row, participant=f"P{number}") for row in rows] for name, rows in own.items()}
+        for row in mine["erp"]:
+            row["mean_uv"] += rng.normal(0, 0.2)
+        for row in mine["area_test"]:
+            row["difference"] += 0.05 + rng.normal(0, 0.02)
+        for row in mine["errors_in_a_row_trend"]:
+            row["slope"] += rng.normal(0, 0.2)
+        people.append(mine)
+    people[0]["maps"] = table(made, "maps")
+    tables = study.complete(merged(people))
+    assert len(those(tables["table_1"], series="ours")) == 8
+    (mean,) = [row for row in tables["table_2"] if (row["series"], row["participant"]) == ("ours", "mean")]
+    assert mean["open_mean_steps_all"] == pytest.approx(table(made, "table_2")[0]["open_mean_steps_all"])
+    tests = those(tables["area_test"], participant="all")
+    assert {row["map"] for row in tests} == {"open", "obstacles"}
+    assert all(row["n"] == 7 and row["test"].startswith("Wilcoxon") for row in tests)
+    waves = those(tables["erp_average"], source="online", area="all", condition="difference", channel="Fz")
+    single = those(own["erp"], source="online", area="all", condition="difference", channel="Fz")
+    assert waves[100]["mean_uv"] == pytest.approx(single[100]["mean_uv"], abs=0.3)
+    assert those(tables["erp_clusters"], participant="all", unit="participants")
+    assert those(tables["errors_in_a_row"], participant="all", source="online")
+    draw = dict(contents.drawings(tables))
+    for name, says in (
+        ("erp_online", "7 participants"),
+        ("online_areas", "Wilcoxon"),
+        ("verdicts_accuracy", "in the mean"),
+    ):
+        drawn = draw[name]()
+        assert drawn is not None
+        assert says in drawn.alt
+
+
+def study_only(names: list[str]) -> set[str]:
+    return {"table_1", "table_2", "by_distance", "maps", *(name for name in names if name.startswith("table_a_"))}
+
+
+def test_the_command_refuses_in_a_sentence(study_folder: Any, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["report", str(study_folder[0] / "absent.xdf"), "--out", str(tmp_path / "out")])
+    assert done.exit_code == 2
+    assert "There is no recording" in done.output
+    assert "Traceback" not in done.output
+
+
+def test_the_moves_of_a_session_by_hand_are_as_far_apart_as_epochs_need() -> None:
+    stamps = [item.stamp for item in messages(WISHES[0]) if isinstance(item.message, Truth)]
+    assert np.diff(stamps).min() >= BETWEEN_S
