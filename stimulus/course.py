@@ -1,6 +1,7 @@
-"""How far a run has come: its episode, its block, what must be repeated, the action of the coming move. It knows no time.
+"""How far a run has come: its episode, its block, what must be repeated, the action of the coming move.
 
-`stimulus.paradigm` moves it on as time passes; `stimulus.recollection` brings a fresh one to where another's process died.
+It knows no time: `stimulus.paradigm` moves it on, and `stimulus.recollection` brings a fresh one to where another's
+process died.
 """
 
 from typing import Literal

@@ -6,7 +6,7 @@ the onset, which is the flip that showed the jump::
 
     READY (-> PAGE, PRACTICE) (-> EYES) -> LOOK -> COUNTDOWN -> JUMP -> ARROW -> REST -> COUNTDOWN ... -> DONE
                                              |    ^                        |
-                                             HOLD-' (no action yet)        '-> LOOK (next episode), or BREAK -> KEY -> LOOK
+                                             HOLD-' (no action yet)        '-> LOOK (next episode) or BREAK -> KEY
 
 A calibration's block goes on until it has its moves without those whose epochs were rejected: each of these is repeated
 at the end of the block, by a move of the same kind (`stimulus.repeats`).
@@ -36,8 +36,8 @@ EYE_TASKS = tuple(EYE_MOVEMENTS)
 class Paradigm:
     """A whole run. Times are session seconds; `now` must not decrease from call to call.
 
-    Onsets are stamped with their flip (and `photon_delay_ms`, where that is measured), everything else with the `now` of
-    the call that brought it about.
+    Onsets are stamped with their flip, and `photon_delay_ms` later where that is measured, everything else with the
+    `now` of the call that brought it about.
     """
 
     def __init__(self, times: StimulusConfig, world: GridWorld, plan: Plan, guide: Guide | None = None) -> None:

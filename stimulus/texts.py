@@ -43,19 +43,19 @@ def english() -> Texts:
 def load(where: str) -> Texts:
     """The texts of a language that is shipped, or of a folder.
 
-    Raises SetupError for a folder or a text that isn't there, is empty or no UTF-8, or has a {place} that nothing fills.
+    Raises SetupError for a folder or a text that isn't there, is empty or no UTF-8, or has a {place} nothing fills.
     """
     folder = SHIPPED / where if (SHIPPED / where).is_dir() and where not in ("", ".", "..") else Path(where)
     if not folder.is_dir():
         languages = ", ".join(sorted(path.name for path in SHIPPED.iterdir() if path.is_dir()))
         raise SetupError(
-            f"stimulus.texts = '{where}' is neither a language ({languages}) nor a folder of texts. Copy {SHIPPED / 'en'} "
-            "to a folder of yours, translate it, and name that."
+            f"stimulus.texts = '{where}' is neither a language ({languages}) nor a folder of texts. Copy "
+            f"{SHIPPED / 'en'} to a folder of yours, translate it, and name that."
         )
     missing = [f"{name}.txt" for name in NAMES if not (folder / f"{name}.txt").is_file()]
     if missing:
         raise SetupError(
-            f"The folder of texts {folder} lacks {', '.join(missing)}. Every screen needs its text; copy those that are "
+            f"The folder of texts {folder} lacks {', '.join(missing)}. Every screen needs its text; copy what is "
             f"missing from {SHIPPED / 'en'} and translate them."
         )
     return Texts(folder, {name: _read(folder / f"{name}.txt", name in BREAKS) for name in NAMES})
