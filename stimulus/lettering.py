@@ -10,18 +10,18 @@ import pygame
 from bci_app.errors import SetupError
 from stimulus.texts import BREAKS, Texts
 
-BODY_PART = 1 / 26
-"""Height of the letters' line as a part of the screen's height: 1 degree at 60 cm from a 24-inch screen (decided)."""
-WIDEST = 30.0
-"""Width of a line in letters' heights, at most: some 55 letters, which the eye follows without help (decided)."""
+BODY_PART = 1 / 20
+"""Height of the letters' line as a part of the screen's: 1.4 degrees at 60 cm from a 24-inch screen (decided)."""
+WIDEST = 26.0
+"""Width of a line in letters' heights, at most: some 60 letters, which the eye follows without help (decided)."""
 COLUMN_PART = 0.84
 """Width of a line as a part of the screen's, at most."""
-HEADING, FOOT = 1.45, 0.6
+HEADING, FOOT = 1.4, 0.55
 """Sizes of heading and foot, in letters' heights."""
 PITCH, GAP = 1.25, 0.75
 """From line to line, and extra after a paragraph, in letters' heights."""
-FILLED = 0.86
-"""Part of the screen's height that a text may fill, above the foot."""
+FILLED, FILLED_IN_BREAKS = 0.86, 0.56
+"""Part of the screen's height that a text may fill: above the foot, and above the progress."""
 SMALLEST = 8
 """Pixels of a letter's height below which nothing can be read."""
 
@@ -51,8 +51,8 @@ def layout(text: str, size: tuple[int, int], font: str | None = None) -> tuple[l
     body, widest = body_size(size), column(size)
     lines, top = [], 0.0
     for number, paragraph in enumerate(text.split("\n")):
-        letters = round(body * HEADING) if number == 0 and "\n" in text else body
-        for line in _wrapped(paragraph, letters, widest, font):
+        letters = round(body * HEADING) if number == 0 else body
+        for line in _even(paragraph, letters, widest, font):
             lines.append(Line(line, letters, round(top)))
             top += PITCH * letters
         top += GAP * body
@@ -114,12 +114,25 @@ def _check_room(text: str, path: Path, is_foot: bool, size: tuple[int, int], fon
         small = lettering(font, max(SMALLEST, round(body_size(size) * FOOT)))
         has_room = "\n" not in text and small.size(text)[0] <= COLUMN_PART * width
     else:
-        has_room = layout(text, size, font)[1] <= FILLED * height
+        part = FILLED_IN_BREAKS if path.stem in BREAKS else FILLED
+        has_room = layout(text, size, font)[1] <= part * height
     if not has_room:
         raise SetupError(
             f"The text {path} is too long for the screen of {width} x {height} pixels: the letters would be too small, "
             "and are not made smaller. Shorten it."
         )
+
+
+def _even(paragraph: str, size: int, widest: int, font: str | None) -> list[str]:
+    """A paragraph in as few lines as need be, and those about equally long: no word stands alone."""
+    lines = list(_wrapped(paragraph, size, widest, font))
+    while len(lines) > 1:
+        widest = round(widest * 0.97)
+        narrower = list(_wrapped(paragraph, size, widest, font))
+        if len(narrower) > len(lines):
+            break
+        lines = narrower
+    return lines
 
 
 def _wrapped(paragraph: str, size: int, widest: int, font: str | None) -> Iterator[str]:
