@@ -41,10 +41,11 @@ def sentence(findings: Sequence[Finding]) -> str:
 
 def show(findings: Sequence[Finding], console: Console) -> None:
     """The findings as a table."""
-    table = Table("", "what", "found", "limit", "why", title="bci-app certify")
+    table = Table("", "what", "found, limit and why", title="bci-app certify", show_lines=True)
     styles = {True: "[green]yes[/]", False: "[red]NO[/]", None: "[dim]not measured[/]"}
     for each in findings:
-        table.add_row(styles[each.ok], each.what, plain(each.found), plain(each.limit), plain(each.why))
+        limit = f"Limit: {each.limit}, for {each.why}." if each.limit else f"{each.why}."
+        table.add_row(styles[each.ok], each.what, f"{plain(each.found)}\n[dim]{plain(limit)}[/]")
     console.print(table)
     console.print(sentence(findings), soft_wrap=True)
 

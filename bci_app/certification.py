@@ -1,7 +1,7 @@
 """May this machine run this experiment: what was measured against its limit, with the limit's reason. Pure.
 
-In the spirit of BCI2000's certification (Wilson et al., IEEE Trans. Biomed. Eng. 57, 1785, 2010), which measures a
-system's timing on the very machine instead of trusting another's.
+In the spirit of BCI2000's certification (Wilson et al., 10.1109/TBME.2010.2047259), which measures a system's timing on
+the very machine, in the very experiment, instead of trusting figures of another.
 """
 
 from collections.abc import Mapping, Sequence
@@ -93,7 +93,7 @@ def screen(flips: Flips, refresh_hz: float | None) -> Finding:
 
 
 def late_jumps(n_late: int, n_moves: int) -> Finding:
-    """Whether jumps were late in the run itself."""
+    """Whether jumps were late in the run itself: their flips, not their light."""
     return Finding(
         "late jumps in a run",
         f"{n_late} of {n_moves}",

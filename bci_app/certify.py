@@ -24,7 +24,7 @@ from bci_app.eeg import EegDescription
 from bci_app.errors import SetupError
 from bci_app.lsl import MessageInlet, describe, find_eeg
 from bci_app.progress import Progress
-from bci_app.protocol import ACTIONS_STREAM, STIMULUS, Action, LateFrame, MoveOnset, StreamSpec, Verdict
+from bci_app.protocol import ACTIONS_STREAM, STIMULUS, Action, LateFrame, MoveOnset, SessionEnd, StreamSpec, Verdict
 from bci_app.recording import Recording, read
 from bci_app.runs import versions
 from stimulus.pace import Flips
@@ -232,6 +232,8 @@ class _Ear(Thread):
         while inlet is not None and not self._is_over.is_set():
             for item in inlet.pull(timeout=0.2):
                 match item.message:
+                    case SessionEnd():
+                        self._is_over.set()
                     case MoveOnset(episode=episode, step=step):
                         self.moves.setdefault((episode, step), item.arrived)
                     case Action(episode=episode, step=step):

@@ -11,6 +11,7 @@ from bci_app.config import Config
 from bci_app.errors import SetupError
 from bci_app.gridworld import load_map
 from bci_app.lsl import session_clock
+from bci_app.set_up import applied
 from bci_app.told import Told
 
 SessionOption = Annotated[str, typer.Option("--session", help="Session id; the same for all processes of a run.")]
@@ -54,7 +55,6 @@ def stimulus(
     returning: ReturningOption = False,
 ) -> None:
     """Show the grid and the agent; begin by the space key."""
-    from bci_app.set_up import applied
     from stimulus import process
     from stimulus.episodes import Begin
     from stimulus.guide import guide

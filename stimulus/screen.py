@@ -8,6 +8,7 @@ from bci_app.gridworld import load_map
 from bci_app.lsl import local_clock
 from stimulus.pace import Flips, flips
 from stimulus.scene import Scene
+from stimulus.texts import load
 from stimulus.view import View
 
 N_FLIPS = 120
@@ -48,9 +49,12 @@ def measure(view: View, scene: Scene, n: int = N_FLIPS) -> Flips:
 
 
 def look(config: Config, n: int = N_FLIPS) -> Look:
-    """Open the stimulus's window for some seconds. Raises SetupError where there is no screen."""
+    """Open the stimulus's window for some seconds. Raises SetupError where there is no screen, or a text
+    doesn't fit on it."""
+    texts = load(config.stimulus.texts)
     view = View(config.stimulus, "bci-app looks at the screen")
     try:
+        view.check(texts)
         scene = Scene(load_map(config.calibration.map), agent=0, countdown=0.0)
         found = measure(view, scene, n)
         keys = [_key_s(view, Scene(scene.world, agent=number % 2)) for number in range(N_KEYS)]
