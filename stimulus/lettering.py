@@ -6,6 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import pygame
+import pygame.freetype
 
 from bci_app.errors import SetupError
 from stimulus.texts import BREAKS, Texts
@@ -95,11 +96,13 @@ def lettering(font: str | None, size: int) -> pygame.font.Font:
 
 def check(texts: Texts, size: tuple[int, int], font: str | None) -> None:
     """Raise SetupError for a text that is too long for the screen, or has letters the font lacks."""
-    letters = lettering(font, 20)
+    pygame.freetype.init()
+    lettering(font, SMALLEST)
+    letters = pygame.freetype.Font(font, SMALLEST)  # pygame.font measures the box that stands for what is lacking
     for name, text in texts.by_name.items():
         shown = texts.filled(name, 88, 88) if name in BREAKS else text
         path = texts.where / f"{name}.txt"
-        lacking = sorted({letter for letter in shown if not letter.isspace() and letters.metrics(letter) == [None]})
+        lacking = sorted({letter for letter in shown if not letter.isspace() and letters.get_metrics(letter) == [None]})
         if lacking:
             raise SetupError(
                 f"The font lacks {' '.join(lacking[:10])} of the text {path}. Name a font file that has all its "

@@ -281,6 +281,7 @@ class View:
 
     def close(self) -> None:
         """Close the window; may be called twice."""
+        lettering.lettering.cache_clear()  # fonts don't outlive pygame
         pygame.quit()
 
     def _grid(self, world: GridWorld) -> pygame.Surface:

@@ -13,14 +13,17 @@ import numpy as np
 import pytest
 from conftest import Cli
 
+from bci_app.certify import _light
 from bci_app.metrics import confusion, truths
 from bci_app.protocol import (
     Action,
     BlockEnd,
     EpisodeEnd,
     EpisodeStart,
+    LateFrame,
     MoveOnset,
     Note,
+    Screen,
     SessionEnd,
     SessionStart,
     Truth,
@@ -42,6 +45,7 @@ break_s = 3
 distances = [2, 6]
 [simulation]
 dead = ["C3"]
+photodiode_ms = 37
 """
 
 
@@ -100,6 +104,20 @@ def test_the_recording_holds_what_was_said(session: Session) -> None:
         sidecar = read_sidecar(recording.path)
         assert sidecar["state"] == "closed"
         assert sidecar["config"]["chain"]["sfreq"] == 256
+
+
+def test_the_recording_tells_what_the_participant_saw_and_no_frame_is_late_for_its_speed(session: Session) -> None:
+    seen = {name: [s.name for _, s in read(session.recording(name)).of(Screen)] for name in ("calibration", "open")}
+    assert seen == {"calibration": ["break", "end"], "open": ["end"]}
+    assert not read(session.recording("calibration")).of(LateFrame)
+
+
+def test_a_photodiode_in_the_amplifier_tells_how_late_the_light_is(session: Session) -> None:
+    """At twenty times real speed; what `certify` does with a recording."""
+    for name in ("calibration", "obstacles"):
+        found = _light(read(session.recording(name)), "PHOTO")
+        assert np.isfinite(found).all()
+        assert found.mean() == pytest.approx(37, abs=0.5)
 
 
 def test_the_eeg_is_gapless(session: Session) -> None:
