@@ -271,8 +271,9 @@ def test_mne_reads_the_recording(session: Session) -> None:
     path = session.recording("open")
     streams, _ = pyxdf.load_xdf(path)
     eeg = next(stream for stream in streams if stream["info"]["type"][0] == "EEG")
-    labels = [channel["label"][0] for channel in eeg["info"]["desc"][0]["channels"][0]["channel"]]
-    info = mne.create_info(labels, float(eeg["info"]["nominal_srate"][0]), "eeg")
+    channels = eeg["info"]["desc"][0]["channels"][0]["channel"]
+    labels, kinds = ([channel[key][0] for channel in channels] for key in ("label", "type"))
+    info = mne.create_info(labels, float(eeg["info"]["nominal_srate"][0]), [kind.lower() for kind in kinds])
     raw = mne.io.RawArray(eeg["time_series"].T * 1e-6, info, verbose="error")
     raw.set_montage("colin27_1005")
     markers = next(stream for stream in streams if stream["info"]["name"][0] == "bci-markers")

@@ -37,6 +37,15 @@ def test_late_flips_are_counted_and_dont_spoil_the_rest() -> None:
     assert found.paced
 
 
+def test_a_busy_computer_that_misses_half_of_the_flips_still_knows_its_screen() -> None:
+    rng = np.random.default_rng(3)
+    gaps = FRAME * rng.choice([1, 2, 3], 200, p=[0.5, 0.3, 0.2]) + rng.normal(0, 5e-4, 200)
+    found = flips(np.cumsum(gaps).tolist(), True, 60.0)
+    assert found.paced
+    assert found.interval_ms == pytest.approx(16.67, abs=0.15)
+    assert 60 < found.n_late < 140
+
+
 @given(since=st.floats(0, 3), interval=st.floats(1 / 240, 1 / 50))
 def test_the_aim_is_a_flip_that_can_still_be_reached(since: float, interval: float) -> None:
     pace = Pace(interval, paced=True)
