@@ -23,14 +23,12 @@ from bci_app.gridworld import GridWorld
 from bci_app.protocol import Action, Continued, Note, Pause, Resume, RunSeed, Said, SessionEnd, Verdict
 from stimulus.course import Course
 from stimulus.episodes import FROM_THE_START, Begin, Plan, calibration_plan, online_plan
-from stimulus.guide import PRACTISING, Guide, has_person, opening_note, unguided
+from stimulus.guide import Guide, has_person, opening_note, unguided
+from stimulus.lead_in import LeadIn
 from stimulus.phases import AT_ONCE, TIMED, Outbox, Outgoing, Phase
-from stimulus.practice import Practice
 from stimulus.recollection import relive
 from stimulus.scene import Scene
-from stimulus.texts import BREAKS, EYE_MOVEMENTS
-
-EYE_TASKS = tuple(EYE_MOVEMENTS)
+from stimulus.texts import BREAKS
 
 
 class Paradigm:
@@ -49,9 +47,7 @@ class Paradigm:
         self._outbox = Outbox()
         self._phase = Phase.READY
         self._due = 0.0
-        self._step = -1  # of the guide
-        self._practice: Practice | None = None
-        self._eye_task = -1
+        self._lead_in = LeadIn(times, world, self._guide, plan.seed, plan.eye_movements_s)
         self._pause: Pause | None = None  # the last
         self._has_returned = False  # and not gone on yet
         self._pause_to_come: Pause | None = None
@@ -147,8 +143,9 @@ class Paradigm:
     def scene(self, now: float) -> Scene:
         """What belongs on the screen at `now`."""
         light = self._course.light
-        if self._phase is Phase.PRACTICE and self._practice is not None:
-            return self._practice.scene(now, light)
+        practised = self._lead_in.practice_scene(now, light) if self._phase is Phase.PRACTICE else None
+        if practised is not None:
+            return practised
         name = self._screen()
         if name is not None:
             return self._text(name, light)
@@ -170,10 +167,8 @@ class Paradigm:
         match self._phase:
             case Phase.READY:
                 return "welcome"
-            case Phase.PAGE:
-                return self._guide.steps[self._step]
-            case Phase.EYES:
-                return EYE_TASKS[self._eye_task]
+            case Phase.PAGE | Phase.EYES:
+                return self._lead_in.screen
             case Phase.BREAK:
                 return "break"
             case Phase.KEY:
@@ -202,14 +197,14 @@ class Paradigm:
         self._outbox.put(RunSeed(session=self.session, seed=self._plan.seed), now, "truth")
         if delay_ms := self._times.photon_delay_ms:
             self._note("info", opening_note(self._plan.opening, delay_ms), now)
-        self._next_step(now)
+        self._lead(self._lead_in.next(now), now)
 
     def key_start(self, now: float) -> None:
         """The key that turns a page or ends a break; does nothing before the break's shortest time is over."""
         if self._phase is Phase.KEY:
             self._begin_block(now)
         elif self._phase is Phase.PAGE:
-            self._next_step(now)
+            self._lead(self._lead_in.next(now), now)
 
     def update(self, now: float, lead: float = 0.0) -> None:
         """Go through everything due at `now` (or within `lead` s, for a picture that is shown only then), up to a jump:
@@ -290,15 +285,10 @@ class Paradigm:
             self.tell_where(now)
         self._outbox.put(Resume(session=self.session), now)
         match self._paused_in:
-            case Phase.PAGE if self._step < 0:
-                self._next_step(now)
-            case Phase.PAGE | Phase.KEY:
-                self._phase = self._paused_in
-            case Phase.PRACTICE if self._practice is not None:
-                self._practice.begin(now)
-                self._wait(Phase.PRACTICE, self._practice.due)
-            case Phase.EYES:
-                self._next_eye_movement(now)
+            case Phase.PAGE | Phase.PRACTICE | Phase.EYES:
+                self._lead(self._lead_in.again(now), now)
+            case Phase.KEY:
+                self._phase = Phase.KEY
             case Phase.BREAK:
                 self._after_break(now)
             case _ if self._course.is_undecided:
@@ -356,7 +346,7 @@ class Paradigm:
     def _advance(self, now: float) -> None:
         match self._phase:
             case Phase.PRACTICE:
-                self._practise(now)
+                self._lead(self._lead_in.go_on(now), now)
             case Phase.LOOK:
                 self._wait(Phase.COUNTDOWN, self._due + self._times.countdown_s)
             case Phase.COUNTDOWN:
@@ -366,7 +356,7 @@ class Paradigm:
             case _ if self._pause_to_come is not None:
                 self._enter_pause(now, self._pause_to_come)
             case Phase.EYES:
-                self._next_eye_movement(now)
+                self._lead(self._lead_in.go_on(now), now)
             case Phase.REST if self._course.is_undecided:
                 self._phase = Phase.VERDICT
             case Phase.REST if reason := self._course.end_reason():
@@ -379,34 +369,14 @@ class Paradigm:
     def _wait(self, phase: Phase, due: float) -> None:
         self._phase, self._due = phase, due
 
-    def _next_step(self, now: float) -> None:
-        """The next page, or the practice; after the last the eye movements."""
-        self._step += 1
-        if self._step >= len(self._guide.steps):
-            self._next_eye_movement(now)
-        elif self._guide.steps[self._step] == PRACTISING:
-            self._practice = Practice(self._times, self.world, self._guide.n_practice, self._plan.seed)
-            self._practice.begin(now)
-            self._wait(Phase.PRACTICE, self._practice.due)
-        else:
-            self._phase = Phase.PAGE
-
-    def _practise(self, now: float) -> None:
-        if self._practice is None:
-            return
-        self._practice.advance(now)
-        self._due = self._practice.due
-        if self._practice.is_over:
-            self._next_step(now)
-
-    def _next_eye_movement(self, now: float) -> None:
-        """Ask for the next, or begin the first block after the last."""
-        self._eye_task += 1
-        if self._eye_task >= len(EYE_TASKS) or not self._plan.eye_movements_s:
+    def _lead(self, phase: Phase, now: float) -> None:
+        """On the way to the first part, and into it."""
+        if phase is Phase.LOOK:
             self._begin_block(now)
             return
-        self._note("info", f"Eye movements: {EYE_MOVEMENTS[EYE_TASKS[self._eye_task]]}.", now)
-        self._wait(Phase.EYES, now + self._plan.eye_movements_s / len(EYE_TASKS))
+        if phase is Phase.EYES:
+            self._note("info", f"Eye movements: {self._lead_in.eye_movement}.", now)
+        self._wait(phase, self._lead_in.due)
 
     def _begin_block(self, now: float) -> None:
         start = self._course.begin_block()
