@@ -18,13 +18,13 @@ STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem }
 h1 { font-size: 1.5rem }
 p.verdict { font-size: 1.2rem; font-weight: 600; padding: .6rem 1rem; border-left: .5rem solid }
-.yes { border-color: #0072b2 } .no { border-color: #d55e00 } .none { border-color: #777 }
-table { border-collapse: collapse; width: 100% }
-th, td { text-align: left; vertical-align: top; padding: .45rem .6rem; border-bottom: 1px solid #8886 }
+p.verdict.yes { border-left-color: #0072b2 } p.verdict.no { border-left-color: #d55e00 }
+table { border-collapse: collapse; width: 100%; font-size: .9rem; line-height: 1.35 }
+th, td { text-align: left; vertical-align: top; padding: .35rem .6rem; border-bottom: 1px solid #8886 }
 td:first-child { border-left: .5rem solid; white-space: nowrap; font-weight: 600 }
 td:first-child.yes { border-left-color: #0072b2 } td:first-child.no { border-left-color: #d55e00 }
 td:first-child.none { border-left-color: #777 } small { opacity: .8 }
-dt { font-weight: 600 } dd { margin: 0 0 .3rem 1rem }
+dl { font-size: .9rem } dt { font-weight: 600 } dd { margin: 0 0 .3rem 1rem }
 @media print { body { margin: 0; font-size: 11px } }
 """
 

@@ -245,12 +245,12 @@ def _stage(
     what: str, delays_ms: Array, limit_ms: float, why: str, also_ok: bool = True, also: str = "", limit: str = ""
 ) -> Finding:
     if not len(delays_ms):
-        return Finding(what, "nothing came", f"{limit}99 % within {limit_ms:g} ms", why, False)
+        return Finding(what, "nothing came", f"{limit}99% within {limit_ms:g} ms", why, False)
     p50, p99, longest = (float(value) for value in np.percentile(delays_ms, (50, 99, 100)))
     return Finding(
         what,
-        f"{p50:.1f} ms, 99 % within {p99:.1f}, the longest {longest:.1f}{also}",
-        f"{limit}99 % within {limit_ms:g} ms",
+        f"{p50:.1f} ms, 99% within {p99:.1f}, the longest {longest:.1f}{also}",
+        f"{limit}99% within {limit_ms:g} ms",
         why,
         also_ok and p99 <= limit_ms,
         {"p50_ms": p50, "p99_ms": p99, "longest_ms": longest, "n": len(delays_ms)},

@@ -86,14 +86,14 @@ def examine(wanted: Wanted, progress: Progress) -> dict[str, Any]:
         *_jumps(recording, stimulus.headless),
         UNSEEN if light_ms is None else certification.light(light_ms, key_ms),
     ]
-    seen_ms = light_ms[np.isfinite(light_ms)] if light_ms is not None and findings[-1].ok else None
+    is_sure = findings[-1].ok is True
+    seen_ms = light_ms[np.isfinite(light_ms)] if light_ms is not None else None
     if flips is not None:
-        findings.append(certification.onsets(flips, seen_ms))
+        findings.append(certification.onsets(flips, seen_ms if seen_ms is not None and len(seen_ms) else None))
     findings += [certification.markers(_heard_after(recording, ear)), *certification.stages(_ledger(recording, ear))]
     about = _about(eeg, screen, recording, channel)
     certificate.write(certificate.html(findings, about), page)
-    told = seen_ms is not None and channel is not None
-    if told and seen_ms is not None and channel is not None:
+    if is_sure and seen_ms is not None and channel is not None:
         name = None if wanted.simulate else eeg.name
         mean, sd = max(0.0, float(seen_ms.mean())), float(seen_ms.std())
         set_up.write(set_up.describe(config, name, channel, len(seen_ms), mean, sd), set_up_file)
@@ -103,7 +103,7 @@ def examine(wanted: Wanted, progress: Progress) -> dict[str, Any]:
         "sentence": certificate.sentence(findings),
         "findings": [asdict(finding) for finding in findings],
         "page": str(page),
-        "set_up": str(set_up_file) if told else None,
+        "set_up": str(set_up_file) if is_sure else None,
     }
 
 
