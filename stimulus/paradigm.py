@@ -27,8 +27,8 @@ from stimulus.guide import Guide, has_person, opening_note, unguided
 from stimulus.lead_in import LeadIn
 from stimulus.phases import AT_ONCE, TIMED, Outbox, Outgoing, Phase
 from stimulus.recollection import relive
-from stimulus.scene import Scene
-from stimulus.texts import BREAKS
+from stimulus.scene import Scene, countdown_at
+from stimulus.showing import move_scene, screen_of, text_scene
 
 
 class Paradigm:
@@ -42,12 +42,13 @@ class Paradigm:
         self.world = world
         self.session = plan.opening.session
         self._times, self._plan = times, plan
-        self._guide = guide or unguided()
+        guide = guide or unguided()
+        self._texts = guide.texts
         self._course = Course(world, plan)
         self._outbox = Outbox()
         self._phase = Phase.READY
         self._due = 0.0
-        self._lead_in = LeadIn(times, world, self._guide, plan.seed, plan.eye_movements_s)
+        self._lead_in = LeadIn(times, world, guide, plan.seed, plan.eye_movements_s)
         self._pause: Pause | None = None  # the last
         self._has_returned = False  # and not gone on yet
         self._pause_to_come: Pause | None = None
@@ -142,50 +143,20 @@ class Paradigm:
 
     def scene(self, now: float) -> Scene:
         """What belongs on the screen at `now`."""
-        light = self._course.light
-        practised = self._lead_in.practice_scene(now, light) if self._phase is Phase.PRACTICE else None
+        practised = self._lead_in.practice_scene(now, self._course.light) if self._phase is Phase.PRACTICE else None
         if practised is not None:
             return practised
-        name = self._screen()
+        name = screen_of(self._phase, self._lead_in, self._course, self.is_paused_by_person, self._closing)
         if name is not None:
-            return self._text(name, light)
-        walk = self._course.walk
-        arrow = walk.last_move if self._phase in (Phase.JUMP, Phase.ARROW) else None
-        moved = self.awaiting_flip
-        return Scene(self.world, walk.cell, walk.goal, self._countdown(now), arrow, moved=moved, light=light)
+            return text_scene(name, self._texts, self.world, self._course)
+        return move_scene(self._phase, self.world, self._course, self._countdown(now))
 
     def _countdown(self, now: float) -> float | None:
         if self._phase is Phase.HOLD:
             return 1.0
         if self._phase is not Phase.COUNTDOWN:
             return None
-        left = (self._due - now) / self._times.countdown_s if self._times.countdown_s else 0.0
-        return min(1.0, max(0.0, 1.0 - left))
-
-    def _screen(self) -> str | None:
-        """Name of what is shown in place of the moves."""
-        match self._phase:
-            case Phase.READY:
-                return "welcome"
-            case Phase.PAGE | Phase.EYES:
-                return self._lead_in.screen
-            case Phase.BREAK:
-                return "break"
-            case Phase.KEY:
-                return "break_over" if self._course.has_blocks else "break_online"
-            case Phase.PAUSED:
-                return "pause" if self.is_paused_by_person else "waiting"
-            case Phase.DONE:
-                return self._closing
-        return None
-
-    def _text(self, name: str, light: bool) -> Scene:
-        texts, progress = self._guide.texts, None
-        text, foot = texts[name], texts["foot_pause"] if name == "pause" else ""
-        if name in BREAKS:
-            progress = self._course.done_of
-            text = texts.filled(name, *progress)
-        return Scene(self.world, text=text, screen=name, foot=foot, progress=progress, light=light)
+        return countdown_at(now, self._due, self._times.countdown_s)
 
     # What the shell reports.
 

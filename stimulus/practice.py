@@ -7,7 +7,7 @@ from random import Random
 from bci_app.config import StimulusConfig
 from bci_app.gridworld import GridWorld
 from stimulus.episodes import Episode, calibration_action, random_episodes
-from stimulus.scene import Scene
+from stimulus.scene import Scene, countdown_at
 
 WRONG_EVERY = 3
 """Every third move is an error, where one is possible: both kinds must have been seen (decided)."""
@@ -77,10 +77,8 @@ class Practice:
 
     def scene(self, now: float, light: bool = False) -> Scene:
         """What belongs on the screen at `now`; `light` is the photodiode's, which practice leaves as it is."""
-        countdown = None
-        if self._stage is Stage.COUNTDOWN:
-            left = (self.due - now) / self._times.countdown_s if self._times.countdown_s else 0.0
-            countdown = min(1.0, max(0.0, 1.0 - left))
+        is_counting = self._stage is Stage.COUNTDOWN
+        countdown = countdown_at(now, self.due, self._times.countdown_s) if is_counting else None
         arrow = self._last_move if self._stage is Stage.ARROW else None
         return Scene(self._world, self._cell, self._episode.goal, countdown, arrow, screen="practising", light=light)
 

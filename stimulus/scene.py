@@ -33,3 +33,9 @@ class Scene:
     foot: str = ""
     progress: tuple[int, int] | None = None
     light: bool = False
+
+
+def countdown_at(now: float, due: float, length: float) -> float:
+    """How much of a countdown is over, 0 to 1, that is full at `due` and takes `length` s."""
+    left = (due - now) / length if length else 0.0
+    return min(1.0, max(0.0, 1.0 - left))
