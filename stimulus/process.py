@@ -157,9 +157,9 @@ class _Shell:
         self._paradigm.update(now, ahead + self._pace.lead)
         self._hold(now)
         self._tell_where(now)
-        self._show(self._paradigm.scene(now + ahead))
+        has_flipped = self._show(self._paradigm.scene(now + ahead))
         self.send()
-        self._wait()
+        self._wait(has_flipped)
 
     def send(self) -> None:
         """Publish what the paradigm has to say, each message with its own stamp.
@@ -250,13 +250,13 @@ class _Shell:
             self._told_where_at = local_clock()
             self._paradigm.tell_where(now)
 
-    def _show(self, scene: Scene) -> None:
-        """Draw what changed; of the running countdown no more than a frame's worth."""
+    def _show(self, scene: Scene) -> bool:
+        """Draw what changed, of the running countdown no more than a frame's worth; whether there was something."""
         if scene == self._shown:
-            return
+            return False
         only_countdown = self._shown is not None and replace(scene, countdown=self._shown.countdown) == self._shown
         if only_countdown and not self._pace.paced and local_clock() - self._drawn_at < FRAME_S:
-            return
+            return False
         self._view.draw(scene)
         self._view.flip()
         onset = self._clock.now()
@@ -265,19 +265,25 @@ class _Shell:
         if is_jump:
             self._paradigm.flipped(onset)
         if self._counts_frames:
-            late_ms = self._pace.flipped(onset, running=scene.countdown is not None)
+            late_ms = self._pace.flipped(onset, running=_is_running(scene))
             if late_ms is not None:
                 self._tell_late(onset, late_ms, is_jump)
         if scene.screen is not None and (before is None or before.screen != scene.screen):
             self._news.append((onset, Screen(session=self._peer.session, name=scene.screen)))
+        return True
 
     def _tell_late(self, at: float, late_ms: float, is_jump: bool) -> None:
         episode, step = self._paradigm.place
         late = LateFrame(session=self._peer.session, episode=episode, step=step if is_jump else None, late_ms=late_ms)
         self._news.append((at, late))
 
-    def _wait(self) -> None:
-        if self._pace.paced and self._shown is not None and self._shown.countdown is not None:
+    def _wait(self, has_flipped: bool) -> None:
+        if has_flipped and self._pace.paced and self._shown is not None and _is_running(self._shown):
             return  # the next flip waits for the screen
         due = self._paradigm.next_due()
         self._peer.rest(min(POLL_S, POLL_S if due is None else self._clock.real_until(due)))
+
+
+def _is_running(scene: Scene) -> bool:
+    """Whether another picture is to follow at the next flip; a full countdown waits for its action."""
+    return scene.countdown is not None and scene.countdown < 1.0
