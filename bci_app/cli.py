@@ -228,6 +228,34 @@ def doctor(
         raise typer.Exit(SetupError.exit_code)
 
 
+@app.command(rich_help_panel="In the lab")
+def certify(
+    moves: Annotated[int, typer.Option("--moves", min=1, max=100, help="Moves of the run, in tens.")] = 30,
+    simulate: SimulateOption = False,
+    headless: HeadlessOption = False,
+    photodiode: Annotated[
+        str | None, typer.Option("--photodiode", help="The photodiode's channel; default: the one called so.")
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", help="The page; nothing is written over.")] = Path("certificate.html"),
+    config: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure screen, light and loop on this machine, and say whether it may run the experiment."""
+    from bci_app import certificate
+    from bci_app import certify as certifying
+
+    settings = configuration.load(config, _overrides(headless, None, None, None))
+    with progress_bar(as_json) as progress:
+        result = certifying.examine(certifying.Wanted(settings, moves, simulate, photodiode, out), progress)
+    if as_json:
+        print_json(result)
+    else:
+        certificate.show(certifying.findings_of(result), Console())
+        _tell(f"Written: {result['page']}" + (f" and {result['set_up']}" if result["set_up"] else ""))
+    if not result["may_run"]:
+        raise typer.Exit(SetupError.exit_code)
+
+
 @app.command(rich_help_panel="Afterwards")
 def demo(
     speed: SpeedOption = 24.0,

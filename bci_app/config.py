@@ -16,6 +16,8 @@ from bci_app.errors import SetupError
 Seconds = Annotated[float, Field(ge=0)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
+PRACTICE_MOVES = 6
+"""Moves to practise on before a calibration, where nothing else is set: two of them errors (decided)."""
 
 
 class Section(BaseModel):
@@ -43,6 +45,18 @@ class StimulusConfig(Section):
     """Number of the display the window opens on."""
     headless: bool = False
     """Draw with SDL's dummy driver: no screen needed."""
+    texts: Annotated[str, Field(min_length=1)] = "en"
+    """What the participant reads: a language that is shipped (en), or a folder of text files of your own."""
+    font: str | None = None
+    """A font file for texts in letters that the built-in one lacks (it has Latin, Greek and Cyrillic)."""
+    instructions: bool = True
+    """Show instructions before each part, where there is a window and a person to turn them by the space key."""
+    photodiode: Literal["top-left", "top-right", "bottom-left", "bottom-right"] | None = None
+    """Corner of the screen in which a square changes between black and white with each jump, for a photodiode."""
+    photon_delay_ms: Annotated[float, Field(ge=0, le=500)] = 0.0
+    """How long after a jump's flip its light comes, as `bci-app certify` measures: onsets are stamped so much later."""
+    set_up: str | None = None
+    """Path of the set-up file that `bci-app certify` wrote: `photon_delay_ms` is taken from there."""
 
 
 class CalibrationConfig(Section):
@@ -68,6 +82,8 @@ class CalibrationConfig(Section):
     """End after the block at which that is known, instead of after all."""
     wait_for_key: bool = True
     """After the break wait for the person's key, where there is a window and a person."""
+    practice_moves: Annotated[int, Field(ge=0)] | None = None
+    """Moves to practise on before the first block, which aren't recorded; by default 6, and none without a person."""
     eye_movements_s: Seconds = 0.0
     """Seconds of blinks and looks to the sides, up and down before the first block, for the ocular correction to be
     learnt from; 30 do. Without, it is learnt from what the eyes do anyway."""
@@ -80,6 +96,10 @@ class OnlineConfig(Section):
     """Shortest and longest initial distance to the goal, in moves (paper)."""
     max_steps: Count = 60
     """Moves after which an episode ends without the goal (paper)."""
+    break_every: Annotated[int, Field(ge=0)] = 5
+    """Episodes between two breaks, which end by the person's key; 0 for none. None in a simulation (decided)."""
+    practice_moves: Annotated[int, Field(ge=0)] = 0
+    """Moves to practise on before the first episode, which aren't recorded."""
     episodes_seed: Annotated[int, Field(ge=0)] = 2022
     """Seed of the pre-generated episodes: the same episodes for every participant (decided)."""
     expected_moves: Count = 200
@@ -202,6 +222,8 @@ class SimulationConfig(Section):
     """Real seconds from acquisition to emission, as an amplifier's own (decided; 10-50 ms are usual)."""
     chunk_s: Annotated[float, Field(gt=0)] = 0.01
     """Real seconds of samples a push (decided; 5-30 ms are advised)."""
+    photodiode_ms: Annotated[float, Field(ge=0)] | None = None
+    """Adds a channel PHOTO, whose light changes so many ms after each move's flip; none by default."""
     dead: tuple[str, ...] = ()
     """Channels whose electrodes are off: all they deliver is an input's noise."""
     drop_outs: tuple[tuple[Seconds, Seconds], ...] = ()

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from bci_app import trial
+from bci_app import certification, trial
 from bci_app.config import Config
 from bci_app.eeg import EegDescription
 from bci_app.errors import LinkLost, SetupError
@@ -56,11 +56,27 @@ def examine(config: Config, model_path: Path | None, progress: Progress, in_tria
             checks.append(_fits(model_path, inlet))
     except (SetupError, LinkLost) as error:
         checks.append(check("EEG stream with labels and units", False, str(error)))
+    checks.append(_screen(config))
     progress("making a few moves", 2, 3)
     if in_trial and all(each["ok"] for each in checks):
         checks += trial.run(config, model_path, progress)
     progress("done", 3, 3)
     return {"streams": streams, "checks": checks, "fit": all(each["ok"] for each in checks)}
+
+
+def _screen(config: Config) -> dict[str, Any]:
+    """Whether the stimulus's window opens, its texts fit, and how it shows its pictures; `certify` tells more."""
+    what = "screen"
+    if config.stimulus.headless:
+        return check(what, True, "not looked at (--headless)")
+    from stimulus.screen import look
+
+    try:
+        found = look(config)
+    except SetupError as error:
+        return check(what, False, str(error))
+    finding = certification.screen(found.flips, found.refresh_hz)
+    return check(what, finding.ok is True, f"{found.size[0]} x {found.size[1]} pixels, {finding.found}")
 
 
 def _network() -> dict[str, Any]:

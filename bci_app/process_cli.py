@@ -11,6 +11,7 @@ from bci_app.config import Config
 from bci_app.errors import SetupError
 from bci_app.gridworld import load_map
 from bci_app.lsl import session_clock
+from bci_app.set_up import applied
 from bci_app.told import Told
 
 SessionOption = Annotated[str, typer.Option("--session", help="Session id; the same for all processes of a run.")]
@@ -56,15 +57,18 @@ def stimulus(
     """Show the grid and the agent; begin by the space key."""
     from stimulus import process
     from stimulus.episodes import Begin
+    from stimulus.guide import guide
     from stimulus.paradigm import Paradigm
 
-    settings = _prepare(config)
+    settings = applied(_prepare(config))
     if task not in ("calibration", "online"):
         raise SetupError(f"--task must be calibration or online, found {task!r}.")
     make = Paradigm.calibration if task == "calibration" else Paradigm.online
     world = load_map(map_name or settings.calibration.map)
-    paradigm = make(settings, world, session, participant, seed, Begin(from_block, moves_done, from_episode))
-    process.run(settings, session_clock(speed, origin), paradigm, commanded, parent, returning)
+    begin = Begin(from_block, moves_done, from_episode)
+    way = guide(settings, task, begin)
+    paradigm = make(settings, world, session, participant, seed, begin, way)
+    process.run(settings, session_clock(speed, origin), paradigm, commanded, parent, returning, way)
 
 
 def decoder(

@@ -21,6 +21,7 @@ from bci_app.recording import read
 from bci_app.resuming import Stopped, find
 from bci_app.runs import check_label, new_run
 from bci_app.session import Disturb, Plan, Task, conduct
+from bci_app.set_up import applied
 
 MIN_SPEED = 0.1
 SECONDS_A_MOVE = 5.0
@@ -64,7 +65,7 @@ class Wishes:
 
 def calibrate(wishes: Wishes, progress: Progress, look: Look | None = None) -> dict[str, Any]:
     """Conduct a calibration; its outcome with the recording's path. ``look`` is how to look at it after each block."""
-    check(wishes)
+    wishes = _checked(wishes)
     load_map(wishes.config.calibration.map)
     if not wishes.simulate:
         _look_at_eeg(wishes.config)
@@ -93,7 +94,7 @@ def online(
 
     Raises SetupError for a missing or unfit model or policy.
     """
-    check(wishes)
+    wishes = _checked(wishes)
     world = load_map(map_name)
     from decoder.model import fit_stream, load
 
@@ -250,6 +251,15 @@ def _order(model: Path) -> tuple[str, str, int]:
     """Visit, run and number of the fit, as the names tell them; times of files change when they are copied."""
     stem, _, number = model.stem.partition("_decoder")
     return model.parent.parent.name, stem, int(number.removeprefix("-") or 1)
+
+
+def _checked(wishes: Wishes) -> Wishes:
+    """The wishes with what their set-up file says. Raises SetupError for what is wrong whatever the hardware."""
+    from stimulus import texts
+
+    check(wishes)
+    texts.load(wishes.config.stimulus.texts)
+    return replace(wishes, config=applied(wishes.config))
 
 
 def check(wishes: Wishes) -> None:

@@ -22,6 +22,7 @@ from bci_app.protocol import (
 from decoder.background import read_background
 from decoder.montage import match_channels
 from decoder.participant import Participant, Person
+from decoder.photodiode import Photodiode
 from decoder.rehearsal import Rehearsed
 from decoder.rehearsal_file import load
 
@@ -73,15 +74,16 @@ class _Player:
                 f"{', '.join(names)}."
             )
         self._noise = np.random.default_rng(config.simulation.run)
-        n_channels = len(names)
+        self._photodiode = Photodiode(config, self._t0, self._participant.sfreq)
+        n_eeg, others = len(names), self._photodiode.names
         source_id = config.eeg.source_id or simulated_source_id(peer.session)
         description = EegDescription(
             name="SimulatedAmplifier",
             source_id=source_id,
             hostname="",
-            channels=names,
-            units=("microvolts",) * n_channels,
-            types=("EEG",) * n_channels,
+            channels=(*names, *others),
+            units=("microvolts",) * (n_eeg + len(others)),
+            types=(*("EEG",) * n_eeg, *("MISC",) * len(others)),
             sfreq=self._participant.sfreq,
         )
         self._description = description
@@ -114,6 +116,8 @@ class _Player:
             self._peer.rest(timeout)
             return
         for item in self._peer.hear(self._truth, timeout):
+            if isinstance(item.message, Truth):
+                self._photodiode.jump(item.stamp)
             match item.message:
                 case Truth(error=error) as truth if not self._participant.respond(item.stamp, error):
                     text = f"The truth of episode {truth.episode}, step {truth.step} came after its samples were sent."
@@ -137,6 +141,8 @@ class _Player:
         if self._dead:
             samples = samples.copy()  # the participant keeps what it has rendered
             samples[:, self._dead] = self._noise.normal(0, INPUT_NOISE_UV, (n_new, len(self._dead)))
+        if self._photodiode.names:
+            samples = np.hstack((samples, self._photodiode.render(self._played, n_new)))
         stamps = self._t0 + np.arange(self._played, self._played + n_new) / self._participant.sfreq
         self._played += n_new
         self._connect_or_not()

@@ -204,6 +204,7 @@ class Plan:
     wait_for_key : whether a key ends a break; else time does.
     eye_movements_s : session seconds of eye movements before the first block.
     begin : where it begins: not at the beginning where it goes on from a run that was broken off.
+    break_every : online episodes between two breaks; 0 for none.
     """
 
     opening: SessionStart
@@ -217,6 +218,7 @@ class Plan:
     wait_for_key: bool = False
     eye_movements_s: float = 0.0
     begin: Begin = FROM_THE_START
+    break_every: int = 0
 
 
 def calibration_plan(
@@ -263,9 +265,17 @@ def calibration_plan(
 
 
 def online_plan(
-    run: OnlineConfig, world: GridWorld, session: str, participant: str, seed: int, begin: Begin = FROM_THE_START
+    run: OnlineConfig,
+    world: GridWorld,
+    session: str,
+    participant: str,
+    seed: int,
+    begin: Begin = FROM_THE_START,
+    wait_for_key: bool = False,
 ) -> Plan:
     """The pre-generated episodes, the same for everyone, in the random order of `seed` (paper V.B.3).
+
+    There are breaks only where a key can end them.
 
     Raises SetupError when the map has none of the wanted distances.
     """
@@ -279,7 +289,9 @@ def online_plan(
         n_episodes=len(episodes),
     )
     order = episode_order(len(episodes), seed)[begin.episode :]
-    return Plan(opening, seed, iter([episodes[number] for number in order]), None, run.max_steps, begin=begin)
+    break_every = run.break_every if wait_for_key else 0
+    chosen = iter([episodes[number] for number in order])
+    return Plan(opening, seed, chosen, None, run.max_steps, begin=begin, break_every=break_every)
 
 
 def _draw(pairs: NDArray[np.int64], rng: Random) -> Episode:

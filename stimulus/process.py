@@ -1,7 +1,8 @@
 """The stimulus process: input, update, draw, flip, and only then the marker that says when the flip was.
 
-It owns the world and the truth. A round waits no longer than until the next change is due, so a jump is drawn when it
-is due and not a frame later.
+It owns the world and the truth. Where flips wait for the screen, frames are counted: a change comes with the flip
+nearest to when it is due. Elsewhere a round waits no longer than until the next change is due, so a jump is drawn when
+it is due and not a frame later.
 """
 
 from dataclasses import replace
@@ -19,12 +20,19 @@ from bci_app.protocol import (
     VERDICTS,
     Action,
     Command,
+    LateFrame,
+    Screen,
+    SessionEnd,
     Status,
     Verdict,
     marker_code,
 )
+from stimulus.guide import Guide
+from stimulus.keyboard import Keyboard
+from stimulus.pace import Pace
 from stimulus.paradigm import Paradigm
 from stimulus.scene import Scene
+from stimulus.screen import measure
 from stimulus.view import View
 
 FRAME_S = 1 / 60
@@ -40,6 +48,7 @@ def run(
     commanded: bool,
     parent: int | None = None,
     returning: bool = False,
+    guide: Guide | None = None,
 ) -> None:
     """Show one run.
 
@@ -49,12 +58,18 @@ def run(
     commanded : bci-app says when to begin; otherwise a key does, or, headless, the peers' being there.
     parent : process id of the program that started this one, if it must end with it.
     returning : the session has begun already, with a stimulus that is gone.
+    guide : what the participant reads; checked on the screen before anything begins.
+
+    Raises SetupError for a screen that isn't there, or a text that doesn't fit on it.
     """
     session = paradigm.session
     peer = Peer(STIMULUS, "stimulus", session, clock, parent)
     view = View(config.stimulus, f"ErrP {session}")
     try:
+        if guide is not None and not config.stimulus.headless:
+            view.check(guide.texts)
         shell = _Shell(config, peer, paradigm, view)
+        shell.find_pace()
         shell.connect(commanded)
         if returning:
             shell.recall()
@@ -86,14 +101,27 @@ class _Shell:
         self._actions: MessageInlet | None = None
         self._verdicts: MessageInlet | None = None
         self._commands: MessageInlet | None = None
+        self._keyboard = Keyboard(paradigm, peer.clock)
         self._shown: Scene | None = None
         self._drawn_at = 0.0
+        self._pace = Pace(FRAME_S, paced=False)
+        # Faster than real time, or without a screen, no picture is ever due at a certain frame.
+        self._counts_frames = peer.clock.speed == 1.0 and not config.stimulus.headless
+        self._screen_note: str | None = None
+        self._news: list[tuple[float, Screen | LateFrame]] = []  # what was seen, and is to be said
         self._held_since: float | None = None
         self._paused_for_action = False
         self._has_returned = False
         self._told_where_at = 0.0
-        # A jump is due on a frame's edge. Where the screen paces the flips, one drawn only then would be a frame late.
-        self._lead = 0.0 if config.stimulus.headless else FRAME_S / 2
+
+    def find_pace(self) -> None:
+        """Measure how the screen paces the flips, before anybody looks at it."""
+        if self._counts_frames:
+            flips = measure(self._view, self._paradigm.scene(self._clock.now()))
+            self._pace = Pace(flips.interval_ms / 1e3 if flips.paced else FRAME_S, flips.paced)
+            paced = "the screen paces them" if flips.paced else "nothing paces them"
+            text = f"Flips {flips.interval_ms:.2f} ms apart (SD {flips.sd_ms:.2f}), {paced}; {self._view.driver}."
+            self._screen_note = text
 
     def connect(self, commanded: bool) -> None:
         """Find whom this run listens to: the policy when moves come from outside, else the decoder; bci-app if it
@@ -125,12 +153,13 @@ class _Shell:
         self._peer.say("ready" if self._paradigm.waiting_for == "start" else "running", self._paradigm.progress)
         self._hear()
         now = self._clock.now()
-        self._paradigm.update(now + self._lead)
+        ahead = self._pace.aim(now) - now if self._counts_frames else 0.0
+        self._paradigm.update(now, ahead + self._pace.lead)
         self._hold(now)
         self._tell_where(now)
-        self._show(self._paradigm.scene(now))
+        has_flipped = self._show(self._paradigm.scene(now + ahead))
         self.send()
-        self._wait()
+        self._wait(has_flipped)
 
     def send(self) -> None:
         """Publish what the paradigm has to say, each message with its own stamp.
@@ -138,6 +167,8 @@ class _Shell:
         The message that makes a move known comes last: no move is known whose truth or marker was never sent.
         """
         messages = self._paradigm.take_messages()
+        if any(isinstance(out.message, SessionEnd) for out in messages):
+            self._tell_news()  # nothing comes after the end
         for out in messages:
             if out.stream == "truth":
                 self._truth.push(out.message, out.stamp)
@@ -147,11 +178,21 @@ class _Shell:
                 if code is not None:
                     self._markers.push(code, out.stamp)
                 self._peer.push(out.message, out.stamp)
+        self._tell_news()
+        if self._screen_note and self._paradigm.waiting_for != "start":  # only now it is recorded
+            self._peer.note("info", self._screen_note)
+            self._screen_note = None
+
+    def _tell_news(self) -> None:
+        news, self._news = self._news, []
+        for stamp, message in news:
+            self._peer.push(message, stamp)
 
     def _hear(self) -> None:
         now = self._clock.now()
         for key in self._view.events():
-            self._pressed(key, now)
+            self._paused_for_action &= key != "pause"
+            self._keyboard.pressed(key, now, commanded=self._commands is not None)
         for item in self._peer.hear(self._commands) if self._commands else ():
             match item.message:
                 case Command(command="start"):
@@ -170,22 +211,6 @@ class _Shell:
         for item in self._peer.hear(self._verdicts) if self._verdicts else ():
             if isinstance(item.message, Verdict):
                 self._paradigm.take_verdict(item.message, now)
-
-    def _pressed(self, key: str, now: float) -> None:
-        match key:
-            case "start" if self._paradigm.waiting_for == "start" and not self._commands:
-                self._paradigm.start(now)
-            case "start" if self._paradigm.is_paused_by_person and self._commands:
-                self._paradigm.release(now)
-            case "start" if self._paradigm.is_paused_by_person:
-                self._paradigm.resume(now)
-            case "start":
-                self._paradigm.key_start(now)
-            case "pause":
-                self._paused_for_action = False
-                self._paradigm.pause(now, "The experimenter pressed pause.", by_person=True)
-            case "stop":
-                self._paradigm.stop(now, "interrupted", "Stopped at the stimulus's keyboard.")
 
     def _offer(self, action: Action) -> None:
         refusal = self._paradigm.offer_action(action)
@@ -225,20 +250,40 @@ class _Shell:
             self._told_where_at = local_clock()
             self._paradigm.tell_where(now)
 
-    def _show(self, scene: Scene) -> None:
-        """Draw what changed; of the running countdown no more than a frame's worth."""
+    def _show(self, scene: Scene) -> bool:
+        """Draw what changed, of the running countdown no more than a frame's worth; whether there was something."""
         if scene == self._shown:
-            return
+            return False
         only_countdown = self._shown is not None and replace(scene, countdown=self._shown.countdown) == self._shown
-        if only_countdown and local_clock() - self._drawn_at < FRAME_S:
-            return
+        if only_countdown and not self._pace.paced and local_clock() - self._drawn_at < FRAME_S:
+            return False
         self._view.draw(scene)
         self._view.flip()
         onset = self._clock.now()
-        self._shown, self._drawn_at = scene, local_clock()
-        if self._paradigm.awaiting_flip:
+        before, self._shown, self._drawn_at = self._shown, scene, local_clock()
+        is_jump = self._paradigm.awaiting_flip
+        if is_jump:
             self._paradigm.flipped(onset)
+        if self._counts_frames:
+            late_ms = self._pace.flipped(onset, running=_is_running(scene))
+            if late_ms is not None:
+                self._tell_late(onset, late_ms, is_jump)
+        if scene.screen is not None and (before is None or before.screen != scene.screen):
+            self._news.append((onset, Screen(session=self._peer.session, name=scene.screen)))
+        return True
 
-    def _wait(self) -> None:
+    def _tell_late(self, at: float, late_ms: float, is_jump: bool) -> None:
+        episode, step = self._paradigm.place
+        late = LateFrame(session=self._peer.session, episode=episode, step=step if is_jump else None, late_ms=late_ms)
+        self._news.append((at, late))
+
+    def _wait(self, has_flipped: bool) -> None:
+        if has_flipped and self._pace.paced and self._shown is not None and _is_running(self._shown):
+            return  # the next flip waits for the screen
         due = self._paradigm.next_due()
         self._peer.rest(min(POLL_S, POLL_S if due is None else self._clock.real_until(due)))
+
+
+def _is_running(scene: Scene) -> bool:
+    """Whether another picture is to follow at the next flip; a full countdown waits for its action."""
+    return scene.countdown is not None and scene.countdown < 1.0

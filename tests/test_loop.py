@@ -13,14 +13,17 @@ import numpy as np
 import pytest
 from conftest import Cli
 
+from bci_app.certify import _light
 from bci_app.metrics import confusion, truths
 from bci_app.protocol import (
     Action,
     BlockEnd,
     EpisodeEnd,
     EpisodeStart,
+    LateFrame,
     MoveOnset,
     Note,
+    Screen,
     SessionEnd,
     SessionStart,
     Truth,
@@ -42,6 +45,7 @@ break_s = 3
 distances = [2, 6]
 [simulation]
 dead = ["C3"]
+photodiode_ms = 37
 """
 
 
@@ -100,6 +104,23 @@ def test_the_recording_holds_what_was_said(session: Session) -> None:
         sidecar = read_sidecar(recording.path)
         assert sidecar["state"] == "closed"
         assert sidecar["config"]["chain"]["sfreq"] == 256
+
+
+def test_the_recording_tells_what_the_participant_saw_and_no_frame_is_late_for_its_speed(session: Session) -> None:
+    seen = {name: [s.name for _, s in read(session.recording(name)).of(Screen)] for name in ("calibration", "open")}
+    assert seen == {"calibration": ["break", "end"], "open": ["end"]}
+    assert not read(session.recording("calibration")).of(LateFrame)
+
+
+def test_a_photodiode_in_the_amplifier_tells_how_late_the_light_is(session: Session) -> None:
+    """At twenty times real speed; what `certify` does with a recording.
+
+    On a busy computer the simulated amplifier may hear of a jump after it has sent the samples of its light.
+    """
+    for name in ("calibration", "obstacles"):
+        found = _light(read(session.recording(name)), "PHOTO")
+        assert np.nanmedian(found) == pytest.approx(37, abs=0.7)
+        assert (np.abs(found - 37) <= 1.5).mean() > 0.8, found
 
 
 def test_the_eeg_is_gapless(session: Session) -> None:
@@ -267,8 +288,9 @@ def test_mne_reads_the_recording(session: Session) -> None:
     path = session.recording("open")
     streams, _ = pyxdf.load_xdf(path)
     eeg = next(stream for stream in streams if stream["info"]["type"][0] == "EEG")
-    labels = [channel["label"][0] for channel in eeg["info"]["desc"][0]["channels"][0]["channel"]]
-    info = mne.create_info(labels, float(eeg["info"]["nominal_srate"][0]), "eeg")
+    channels = eeg["info"]["desc"][0]["channels"][0]["channel"]
+    labels, kinds = ([channel[key][0] for channel in channels] for key in ("label", "type"))
+    info = mne.create_info(labels, float(eeg["info"]["nominal_srate"][0]), [kind.lower() for kind in kinds])
     raw = mne.io.RawArray(eeg["time_series"].T * 1e-6, info, verbose="error")
     raw.set_montage("colin27_1005")
     markers = next(stream for stream in streams if stream["info"]["name"][0] == "bci-markers")
