@@ -28,8 +28,9 @@ from bci_app.protocol import (
 
 log = logging.getLogger(__name__)
 
-EEG_BUFFER_S = 10.0
-"""Seconds of EEG that LSL keeps for a console that is held up; what is older is lost to it alone."""
+EEG_BUFFER_S = 120.0
+"""Session seconds of EEG that LSL keeps for a console that is held up, at 20 times real speed for 6 s; what is older is
+lost to it alone."""
 FIND_EEG_S = 0.5
 """Real seconds a look for the amplifier may take."""
 ASK_AGAIN_S, ASK_FOR_S = 0.5, 10.0

@@ -12,6 +12,7 @@ from typing import Any
 
 from bci_app.config import Config
 from bci_app.console.following import Following
+from bci_app.console.state import warm_up
 from bci_app.errors import LinkLost, SetupError
 from bci_app.lsl import EegInfo, Header, MessageInlet, Watch, local_clock, session_clock
 from bci_app.protocol import CONSOLE, SESSION, STIMULUS, Message, StreamSpec
@@ -79,6 +80,7 @@ class Listener:
     def run(self) -> None:
         """Listen until told to end; what goes wrong is kept in `failure`."""
         looked_at = -LOOK_EVERY_S
+        warm_up(self._config)
         try:
             while not self.ended.wait(POLL_S):
                 if self._parent is not None and os.name == "posix" and os.getppid() != self._parent:

@@ -39,6 +39,7 @@ FILES = {
     "": ("index.html", "text/html; charset=utf-8"),
     "console.js": ("console.js", "text/javascript; charset=utf-8"),
     "drawings.js": ("drawings.js", "text/javascript; charset=utf-8"),
+    "responses.js": ("responses.js", "text/javascript; charset=utf-8"),
     "console.css": ("console.css", "text/css; charset=utf-8"),
     "icon.svg": ("icon.svg", "image/svg+xml"),
     "uPlot.js": ("vendor/uPlot.iife.min.js", "text/javascript; charset=utf-8"),
@@ -178,7 +179,7 @@ def serve(source: Source, port: int, tell: Callable[[str], None]) -> None:
     port : 0 for any that is free. Raises SetupError where it is taken.
     """
     config = uvicorn.Config(
-        _nothing, host=HOST, port=port, log_level="warning", access_log=False, lifespan="off", timeout_graceful_shutdown=1
+        _nothing, host=HOST, port=port, log_level="warning", access_log=False, proxy_headers=False, server_header=False, lifespan="off", timeout_graceful_shutdown=1
     )
     try:
         listening = config.bind_socket()

@@ -31,9 +31,18 @@ from bci_app.protocol import (
     Screen,
     Status,
 )
+from decoder.chain import design
 
+USUAL_HZ = 500.0
+"""The paper's rate; any does."""
 MOST_LOGGED = 300
 """Newest lines of the log that are kept (decided)."""
+
+
+def warm_up(config: Config) -> None:
+    """Load what is slow to load, before EEG comes."""
+    places(("Cz",))
+    design(config.chain, USUAL_HZ)
 
 
 @dataclass
