@@ -167,8 +167,9 @@ class LateInlet:
         return received
 
     def close(self) -> None:
-        """Look for it no longer."""
+        """Neither look for it nor listen to it any longer."""
         self._ended.set()
+        self._inlet = None
 
     def _find(self) -> None:
         while self._inlet is None and not self._ended.wait(1.0):

@@ -35,6 +35,8 @@ FIND_EEG_S = 0.5
 """Real seconds a look for the amplifier may take."""
 ASK_AGAIN_S, ASK_FOR_S = 0.5, 10.0
 """Real seconds after which it is asked again what was said before, and in all."""
+TAIL_S = 1.0
+"""Real seconds after a run's last message in which its streams are still heard; its processes stay a little longer."""
 SPEAKS = (SESSION, STIMULUS, VERDICTS, ACTIONS_STREAM, AMPLIFIER_NOTES)
 """Streams on which something is said twice a second."""
 
@@ -59,6 +61,7 @@ class Following:
         self._wants_eeg = True
         self._recall_until = -1.0  # real time; before 0 while it isn't known whether anything was missed
         self._asked_at = 0.0
+        self._over_at: float | None = None  # real time at which all was said
 
     def snapshot(self) -> dict[str, Any]:
         """What the page shows; the lock must be held."""
@@ -70,7 +73,9 @@ class Following:
         return self.state.course.end is not None or not alive
 
     def open(self, found: Mapping[str, EegInfo]) -> None:
-        """Open the streams that are on the network by now and aren't heard yet."""
+        """Open the streams that are on the network by now and aren't heard yet, until all was said."""
+        if self._over_at is not None:
+            return
         for spec in (*SPEAKS, TRUTH):
             info = found.get(spec.source_id(self.session))
             if spec.name not in self._inlets and info is not None:
@@ -113,6 +118,11 @@ class Following:
                 for sentence in inlet.refused:
                     self.state.log(self._clock.now(), "console", "warning", f"Refused a sample on {sentence}")
             inlet.refused.clear()
+        if self.state.is_over:
+            self._over_at = self._over_at or local_clock()
+            if local_clock() - self._over_at > TAIL_S:
+                self._inlets.clear()
+                self._eeg = None
         if self._eeg is not None:
             samples, stamps = self._eeg.pull(0.0)
             with self._lock:

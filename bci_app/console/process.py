@@ -25,6 +25,9 @@ def run(config: Config, session: str | None, port: int, parent: int | None, tell
     thread.start()
     try:
         serve(listener, port, tell)
+    except KeyboardInterrupt:
+        if parent is None:  # otherwise it's the parent, which ends
+            raise
     finally:
         listener.ended.set()
         thread.join()

@@ -194,13 +194,21 @@ def serve(source: Source, port: int, tell: Callable[[str], None]) -> None:
 
 
 async def _until_ended(server: uvicorn.Server, source: Source, listening: Any) -> None:
-    serving = asyncio.create_task(server.serve(sockets=[listening]))
-    while not serving.done():
-        server.should_exit |= source.ended.is_set()
-        await asyncio.wait([serving], timeout=EVERY_S)
+    watching = asyncio.create_task(_watch(server, source))
+    try:
+        await server.serve(sockets=[listening])
+    finally:
+        source.ended.set()
+        await watching
+
+
+async def _watch(server: uvicorn.Server, source: Source) -> None:
+    """Each ends with the other: a stream of changes would keep a server from ending."""
+    while not source.ended.is_set():
         if server.should_exit:
             source.ended.set()
-    await serving
+        await asyncio.sleep(EVERY_S)
+    server.should_exit = True
 
 
 async def _nothing(scope: Any, receive: Any, send: Any) -> None:

@@ -127,14 +127,16 @@ class State:
     def _say_what_changed(self, stamp: float) -> None:
         """A pause's beginning and end, and the run's, are lines of the log."""
         pause, end = self.course.pause, self.course.end
-        said = "running" if self.course.start else ""
+        said = f"began on map {self.course.start.map}" if self.course.start else ""
         if end is not None:
-            said = f"the run ended: {end.reason}. {end.text}".strip()
+            said = f"ended: {end.reason}. {end.text}".strip()
         elif pause is not None:
             said = f"paused: {pause.reason}"
+        elif self.course.paused_s:
+            said = "goes on"
         if said != self._last_said:
             self._last_said = said
-            self.log(stamp, "stimulus", "info", said)
+            self.log(stamp, "stimulus", "info", f"The run {said}")
         if pause is not None or end is not None:
             self._asked = None if self._asked is not None and self._asked.command == "pause" else self._asked
 
@@ -192,6 +194,12 @@ class State:
     def is_led(self) -> bool:
         """Whether bci-app leads this session, as far as was heard: only it follows what is asked for."""
         return "session" in self._statuses
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the run has ended, and all of its moves that can be have been judged."""
+        end = self.course.end
+        return end is not None and (end.reason != "complete" or self.ledger.onsets.keys() <= self.ledger.verdicts.keys())
 
     def snapshot(self, now: float, session_now: float) -> dict[str, Any]:
         """All sections, of values that JSON has."""

@@ -45,7 +45,8 @@ const show = {
     set("phase", phase === "looking" ? `waiting for ${session.waits_for}` : session.pause ? `paused: ${session.pause}` : session.end ? `ended: ${session.end}` : phase);
     set("participant", session.participant ?? "Console");
     const speed = session.speed && session.speed !== 1 ? `, ${session.speed} times real speed` : "";
-    set("what", session.task ? `${session.task} on ${session.map}${speed} · ${session.id}` : "");
+    set("what", session.task ? `${session.task} on ${session.map}${speed}` : "");
+    set("session", session.id ? `Session ${session.id}` : "");
     document.title = session.participant ? `${session.participant} · ${phase}` : "Console";
     for (const name of ["pause", "resume", "finish"]) allow(name, session.can?.[name]);
     allow("send", session.can?.note);
@@ -73,7 +74,10 @@ const show = {
     set("rejections", n ? `${verdicts.correct_rejections} of ${verdicts.correct_rejections + verdicts.false_alarms}` : "–");
     set("rejected", String(verdicts.rejected));
     set("unjudged", String(verdicts.unjudged));
-    drawBars($("bars"), verdicts.recent, MOST_BARS);
+    const scored = verdicts.recent.some((verdict) => verdict.log_odds !== null);
+    $("bars").classList.toggle("away", !scored);
+    $("bars_key").classList.toggle("away", !scored);
+    if (scored) drawBars($("bars"), verdicts.recent, MOST_BARS);
     const told = { true: "error", false: "correct", null: "–" };
     $("rows").replaceChildren(...verdicts.recent.slice(-20).reverse().map((verdict) => row(
       `${verdict.episode + 1}.${verdict.step}`,

@@ -63,9 +63,8 @@ const MOST_ODDS = 6;
 
 /** A bar for each verdict: up says error, down correct, hollow is wrong; a dot below where the move was an error. */
 export function drawBars(svg, verdicts, most) {
-  const width = 600, height = 120, middle = 54, left = 26, pitch = (width - left) / most;
+  const width = svg.clientWidth || 600, height = 120, middle = 54, left = 26, pitch = (width - left) / most;
   svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
-  svg.setAttribute("preserveAspectRatio", "none");
   const scale = (odds) => middle - (48 * Math.max(-MOST_ODDS, Math.min(MOST_ODDS, odds))) / MOST_ODDS;
   const parts = [mark("line", { x1: left, x2: width, y1: middle, y2: middle, class: "axis" })];
   for (const odds of [-MOST_ODDS, 0, MOST_ODDS]) {

@@ -81,6 +81,7 @@ function zeroLine(plot, colour) {
   const x = plot.valToPos(0, "x", true);
   plot.ctx.save();
   plot.ctx.strokeStyle = colour;
+  plot.ctx.setLineDash([]);
   plot.ctx.beginPath();
   plot.ctx.moveTo(x, plot.bbox.top);
   plot.ctx.lineTo(x, plot.bbox.top + plot.bbox.height);
