@@ -121,8 +121,8 @@ class Received:
 
 @dataclass(frozen=True)
 class Header:
-    """Of one of our message streams: the session clock's speed and origin (1 and 0 where none are told), and the process
-    that sends, 0 where that isn't told, on which computer."""
+    """Of one of our message streams: the session clock's speed and origin (1 and 0 where none are told), the process
+    that sends (0 where none is told), and on which computer."""
 
     speed: float
     origin: float
@@ -220,7 +220,9 @@ class MessageInlet:
         try:
             desc = self._inlet.info(OPEN_TIMEOUT_S).desc()
         except (pylsl.util.TimeoutError, pylsl.util.LostError) as error:
-            raise LinkLost(f"Stream '{self._spec.name}' was announced but doesn't answer. Restart its sender.") from error
+            raise LinkLost(
+                f"Stream '{self._spec.name}' was announced but doesn't answer. Restart its sender."
+            ) from error
         speed, origin, process = (desc.child_value(name) for name in ("speed", "origin", "process"))
         return Header(float(speed or 1.0), float(origin or 0.0), int(process or 0), self.hostname)
 

@@ -39,7 +39,9 @@ def _prepare(path: Path | None) -> Config:
 
 
 def console(
-    session: Annotated[str | None, typer.Option("--session", help="The one to show; default: the one that runs.")] = None,
+    session: Annotated[
+        str | None, typer.Option("--session", help="The one to show; default: the one that runs.")
+    ] = None,
     port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Of the page; 0 for any that is free.")] = 0,
     config: ConfigOption = None,
     parent: ParentOption = None,

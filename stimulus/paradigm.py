@@ -417,7 +417,7 @@ class Paradigm:
         self._repeats.made((onset.episode, onset.step), self._walk.was_error())
 
     def finish(self, now: float) -> None:
-        """Let the block under way be the last, or online the episode; between two blocks, the run is complete at once."""
+        """Let the block under way be the last, or online the episode; between two, the run is complete at once."""
         self._is_enough = True
         where = self._paused_in if self._phase is Phase.PAUSED else self._phase
         if where in (Phase.BREAK, Phase.KEY):

@@ -70,7 +70,10 @@ class Links:
                     "age_s": round(now - stream.came, 1) if heard else None,
                     "rate_hz": _rate(stream),
                     "state": self._state(name, stream, now),
-                    "heard_by": [link.model_dump(exclude={"protocol", "session", "type", "stream"}) for link in stream.links.values()],
+                    "heard_by": [
+                        link.model_dump(exclude={"protocol", "session", "type", "stream"})
+                        for link in stream.links.values()
+                    ],
                 }
             )
         return rows

@@ -68,7 +68,7 @@ class Listener:
             return self._following.state.averages.at(channel)
 
     def ask(self, make: Callable[[str], Message]) -> None:
-        """Ask bci-app for something; ``make`` makes the message for a session. Raises SetupError where nobody follows."""
+        """Ask bci-app for something; ``make`` makes the message of a session. SetupError where nobody follows."""
         with self._lock:
             state = self._following.state if self._following else None
             if state is None or not state.is_led or state.course.end is not None:

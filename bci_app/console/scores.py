@@ -182,7 +182,12 @@ class Ledger:
     def finished(self) -> list[dict[str, Any]]:
         """Episodes that are over, oldest first."""
         return [
-            {"episode": episode.number, "distance": episode.distance, "steps": episode.end.steps, "reason": episode.end.reason}
+            {
+                "episode": episode.number,
+                "distance": episode.distance,
+                "steps": episode.end.steps,
+                "reason": episode.end.reason,
+            }
             for episode in self.episodes.values()
             if episode.end is not None
         ]

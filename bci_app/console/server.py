@@ -100,7 +100,7 @@ class Pages:
             Route("/average", self._average),
             Route("/ask", self._ask, methods=["POST"]),
         ]
-        inner: App = Starlette(routes=[Mount(f"/{token}", routes=routes)])  # type: ignore[assignment]
+        inner: App = Starlette(routes=[Mount(f"/{token}", routes=routes)])
         return Gate(inner, token, port)
 
     def sections(self) -> dict[str, str]:
@@ -179,16 +179,27 @@ def serve(source: Source, port: int, tell: Callable[[str], None]) -> None:
     port : 0 for any that is free. Raises SetupError where it is taken.
     """
     config = uvicorn.Config(
-        _nothing, host=HOST, port=port, log_level="warning", access_log=False, proxy_headers=False, server_header=False, lifespan="off", timeout_graceful_shutdown=1
+        _nothing,
+        host=HOST,
+        port=port,
+        log_level="warning",
+        access_log=False,
+        proxy_headers=False,
+        server_header=False,
+        lifespan="off",
+        timeout_graceful_shutdown=1,
     )
     try:
         listening = config.bind_socket()
     except SystemExit as error:  # uvicorn's way to say that it can't
-        raise SetupError(f"Port {port} can't be had on this computer. Choose another with --port, or 0 for any.") from error
+        raise SetupError(
+            f"Port {port} can't be had on this computer. Choose another with --port, or 0 for any."
+        ) from error
     token, found = secrets.token_urlsafe(TOKEN_BYTES), int(listening.getsockname()[1])
     config.app = Pages(source).app(token, found)
     config.load()
     server = uvicorn.Server(config)
+    listening.listen()  # whoever comes before the server is there waits a moment
     tell(f"http://{HOST}:{found}/{token}/")
     asyncio.run(_until_ended(server, source, listening))
 

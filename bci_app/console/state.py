@@ -115,7 +115,9 @@ class State:
         before = self._statuses.get(status.role)
         self._statuses[status.role] = status
         if before is None or before.state != status.state:
-            self.log(stamp, status.role, "info", f"{status.state} {status.text if status.state == 'waiting' else ''}".strip())
+            self.log(
+                stamp, status.role, "info", f"{status.state} {status.text if status.state == 'waiting' else ''}".strip()
+            )
 
     def _take_command(self, stamp: float, command: Command) -> None:
         if command.command == "finish":
@@ -199,7 +201,9 @@ class State:
     def is_over(self) -> bool:
         """Whether the run has ended, and all of its moves that can be have been judged."""
         end = self.course.end
-        return end is not None and (end.reason != "complete" or self.ledger.onsets.keys() <= self.ledger.verdicts.keys())
+        return end is not None and (
+            end.reason != "complete" or self.ledger.onsets.keys() <= self.ledger.verdicts.keys()
+        )
 
     def snapshot(self, now: float, session_now: float) -> dict[str, Any]:
         """All sections, of values that JSON has."""
@@ -259,7 +263,9 @@ class State:
                 "position": onset.position,
                 "action": onset.action,
                 "truth": self.ledger.truths.get((episode.number, onset.step)),
-                "outcome": said[1].outcome if (said := self.ledger.verdicts.get((episode.number, onset.step))) else None,
+                "outcome": said[1].outcome
+                if (said := self.ledger.verdicts.get((episode.number, onset.step)))
+                else None,
             }
             for onset in episode.path
         ]

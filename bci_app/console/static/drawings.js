@@ -59,22 +59,23 @@ function trajectory(episode) {
   return parts;
 }
 
-const MOST_ODDS = 6;
+const MOST = 6; // of the evidence that is drawn
 
 /** A bar for each verdict: up says error, down correct, hollow is wrong; a dot below where the move was an error. */
 export function drawBars(svg, verdicts, most) {
   const width = svg.clientWidth || 600, height = 120, middle = 54, left = 26, pitch = (width - left) / most;
   svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
-  const scale = (odds) => middle - (48 * Math.max(-MOST_ODDS, Math.min(MOST_ODDS, odds))) / MOST_ODDS;
+  const scale = (evidence) => middle - (48 * Math.max(-MOST, Math.min(MOST, evidence))) / MOST;
   const parts = [mark("line", { x1: left, x2: width, y1: middle, y2: middle, class: "axis" })];
-  for (const odds of [-MOST_ODDS, 0, MOST_ODDS]) {
-    parts.push(mark("text", { x: 2, y: scale(odds) + 4, class: "tick" }, document.createTextNode(String(odds))));
+  for (const tick of [-MOST, 0, MOST]) {
+    parts.push(mark("text", { x: 2, y: scale(tick) + 4, class: "tick" }, document.createTextNode(String(tick))));
   }
   verdicts.forEach((verdict, index) => {
     const x = left + (most - verdicts.length + index) * pitch;
-    const known = verdict.log_odds !== null;
-    const top = known ? Math.min(middle, scale(verdict.log_odds)) : middle - 3;
-    const size = known ? Math.max(1.5, Math.abs(scale(verdict.log_odds) - middle)) : 6;
+    const score = verdict.evidence ?? verdict.log_odds;
+    const known = score !== null;
+    const top = known ? Math.min(middle, scale(score)) : middle - 3;
+    const size = known ? Math.max(1.5, Math.abs(scale(score) - middle)) : 6;
     const kind = known ? `${verdict.outcome}${isWrong(verdict) ? " wrong" : ""}` : "none";
     const bar = mark("rect", { x: x + 1, y: top, width: Math.max(1, pitch - 2.5), height: size, class: `bar ${kind}` });
     bar.append(titled(`episode ${verdict.episode}, step ${verdict.step}: ${verdict.outcome}`));
