@@ -19,7 +19,7 @@ from bci_app.protocol import Command, EpisodeEnd, MoveOnset, Note, Pause, Resume
 from bci_app.recording import Recording, read
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-SPEED = 20
+SPEED = 24
 NOTE = "Moved the chair; <b>C3</b> & the reference look fine."
 SMALL = """
 recordings = "{folder}"
@@ -27,7 +27,7 @@ recordings = "{folder}"
 headless = true
 [calibration]
 n_blocks = 4
-moves_per_block = 24
+moves_per_block = 16
 break_s = 3
 [simulation]
 dead = ["C3"]
@@ -52,9 +52,23 @@ class Session:
 def session(tmp_path: Path) -> Iterator[Session]:
     config = tmp_path / "small.toml"
     config.write_text(SMALL.format(folder=(tmp_path / "recordings").as_posix()), encoding="utf-8")
-    words = ["calibrate", "--participant", "P001", "--config", config, "--simulate", "--speed", SPEED, "--console", "--json"]
+    words = [
+        "calibrate",
+        "--participant",
+        "P001",
+        "--config",
+        config,
+        "--simulate",
+        "--speed",
+        SPEED,
+        "--console",
+        "--json",
+    ]
     process = subprocess.Popen(
-        [sys.executable, "-m", "bci_app", *map(str, words)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "bci_app", *map(str, words)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     assert process.stderr is not None
     try:
@@ -66,7 +80,7 @@ def session(tmp_path: Path) -> Iterator[Session]:
         process.wait(60)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def browser() -> Iterator[Browser]:
     with sync_playwright() as playwright:
         found = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
@@ -144,7 +158,7 @@ def test_the_page_follows_a_session_and_the_session_what_is_asked_for(session: S
     press(page, "End after this block")
     page.get_by_role("button", name="End it").press("Enter")
     expect(page.locator("#phase")).to_have_text(re.compile("ended: complete"), timeout=60_000)
-    expect(page.locator("#unjudged")).to_have_text(re.compile("^(24|48|72)$"))
+    expect(page.locator("#unjudged")).to_have_text(re.compile("^(16|32|48)$"))
     shown = {name: page.locator(f"#{name}").inner_text() for name in ("done", "unjudged", "rejected", "n_episodes")}
     shown_latency = page.locator("#latency tr").first.locator("td").all_inner_texts()
     recording = session.recording()
@@ -152,7 +166,7 @@ def test_the_page_follows_a_session_and_the_session_what_is_asked_for(session: S
     moves = len(recording.of(MoveOnset))
     over = [end.reason for _, end in recording.of(EpisodeEnd)]
     assert shown == {
-        "done": f"{moves} of 96 moves",
+        "done": f"{moves} of 64 moves",
         "unjudged": str(len(recording.of(Verdict))),
         "rejected": "0",
         "n_episodes": str(sum(reason in ("goal", "limit") for reason in over)),
@@ -164,8 +178,12 @@ def test_the_page_follows_a_session_and_the_session_what_is_asked_for(session: S
 
 def check_what_was_recorded(recording: Recording) -> None:
     assert [note.text for _, note in recording.of(Note) if note.role == "console"] == [NOTE]
-    assert [command.command for _, command in recording.of(Command) if command.by_person] == ["pause", "resume", "finish"]
+    assert [command.command for _, command in recording.of(Command) if command.by_person] == [
+        "pause",
+        "resume",
+        "finish",
+    ]
     assert any(pause.by_person for _, pause in recording.of(Pause))
     assert recording.of(Resume)
     assert [end.reason for _, end in recording.of(SessionEnd)] == ["complete"]
-    assert len(recording.of(MoveOnset)) == len(recording.of(Truth)) in (24, 48, 72)
+    assert len(recording.of(MoveOnset)) == len(recording.of(Truth)) in (16, 32, 48)

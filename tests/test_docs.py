@@ -14,7 +14,7 @@ ROWS = re.findall(
 SOURCES = " ".join(
     " ".join(path.read_text(encoding="utf-8").replace('"\n', "").split())
     for folder in ("bci_app", "stimulus", "decoder", "policy")
-    for path in sorted((ROOT / folder).glob("*.py"))
+    for path in sorted((ROOT / folder).rglob("*.py"))
 )
 SAID = re.sub(r'f?" ?f?"', "", SOURCES)
 

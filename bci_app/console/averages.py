@@ -1,8 +1,8 @@
 """The running average of the responses to errors and to correct moves, as the decoder sees them, at every channel.
 
 It goes through the decoder's own chain (resampling, minimum-phase FIR, common average) by the decoder's own functions,
-in windows of 10 ms instead of 30: what is averaged here is what verdicts are made of. The eyes aren't taken out, and bad
-channels aren't repaired but left out. Pure: no LSL, no clock.
+in windows of 10 ms instead of 30: what is averaged here is what verdicts are made of. The eyes aren't taken out, bad
+channels not repaired but left out. Pure: no LSL, no clock.
 """
 
 from typing import Any

@@ -96,8 +96,7 @@ class Following:
         try:
             eeg = EegInlet(simulated or find_eeg(self._config.eeg, FIND_EEG_S), EEG_BUFFER_S)
             with self._lock:
-                self.state.links.opened(eeg.description.name, local_clock(), speaks=True)
-                self.state.begin_eeg(eeg.description)
+                self.state.begin_eeg(eeg.description, local_clock())
         except (NoStream, LinkLost) as error:
             log.info("%s", error)
         except SetupError as error:

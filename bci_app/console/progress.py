@@ -62,7 +62,7 @@ class Course:
         start = self.start
         if start is None:
             return {"done": 0, "total": None, "elapsed_s": None, "to_go_s": None}
-        moves = sum(self._steps().values())
+        moves = sum(self.ledger.steps().values())
         episode = self.ledger.current
         n_done = sum(episode.end is not None for episode in self.ledger.episodes.values())
         is_calibration = start.n_moves is not None
@@ -76,17 +76,10 @@ class Course:
             "n_blocks": start.n_blocks,
             "episode": episode.number + 1 if episode else None,
             "n_episodes": start.n_episodes,
-            "step": len(episode.path) if episode else 0,
+            "step": self.ledger.steps().get(episode.number, 0) if episode else 0,
             "max_steps": episode.max_steps if episode else None,
             "elapsed_s": round((self.ended if self.ended is not None else now) - self.began, 1),
             "to_go_s": self._to_go(now),
-        }
-
-    def _steps(self) -> dict[int, int]:
-        """Moves of each episode; of one that was heard of only at its end, those it told then."""
-        return {
-            number: max(len(episode.path), episode.end.steps if episode.end else 0)
-            for number, episode in self.ledger.episodes.items()
         }
 
     def _to_go(self, now: float) -> float | None:
@@ -98,7 +91,7 @@ class Course:
         spent = now - self.began - paused
         if start.n_moves is not None:
             left = self._moves_left(start.n_moves)
-            moves = sum(self._steps().values())
+            moves = sum(self.ledger.steps().values())
             return round(left * spent / moves, 1) if moves else None
         finished = [episode for episode in self.ledger.episodes.values() if episode.ended is not None]
         if not finished or start.n_episodes is None:
@@ -111,7 +104,7 @@ class Course:
         return round(max(0.0, left * mean - under_way), 1)
 
     def _moves_left(self, n_moves: int) -> int:
-        moves = sum(self._steps().values()) - self.ledger.n_rejected
+        moves = sum(self.ledger.steps().values()) - self.ledger.n_rejected
         if not self.is_last or self.block is None:
             return max(0, n_moves - moves)
         if self.n_blocks_done > self.block.block:

@@ -3,6 +3,7 @@
 Figures are those of `bci_app.metrics`, of what was heard so far. Pure: messages are handed in.
 """
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -41,7 +42,6 @@ class Episode:
     distance: int | None = None
     end: EpisodeEnd | None = None
     ended: float | None = None
-    path: list[MoveOnset] = field(default_factory=list)
 
 
 @dataclass
@@ -51,7 +51,7 @@ class Ledger:
     speed: float = 1.0
     """Session seconds a real second, for latencies."""
     episodes: dict[int, Episode] = field(default_factory=dict)
-    onsets: dict[Key, float] = field(default_factory=dict)
+    moves: dict[Key, tuple[float, MoveOnset]] = field(default_factory=dict)
     truths: dict[Key, bool] = field(default_factory=dict)
     verdicts: dict[Key, tuple[float, Verdict]] = field(default_factory=dict)
     actions: dict[Key, tuple[float, Action]] = field(default_factory=dict)
@@ -70,7 +70,7 @@ class Ledger:
                 if episode is not None:
                     episode.end, episode.ended = message, stamp
             case MoveOnset():
-                self._move(stamp, message)
+                self.moves.setdefault((message.episode, message.step), (stamp, message))
             case Truth():
                 self.truths[message.episode, message.step] = message.error
             case Verdict():
@@ -90,22 +90,14 @@ class Ledger:
         if episode is not None and goal is not None:
             episode.goal, episode.distance = goal.goal, goal.distance
 
-    def _move(self, stamp: float, onset: MoveOnset) -> None:
-        self.onsets.setdefault((onset.episode, onset.step), stamp)
-        episode = self.episodes.get(onset.episode)
-        if episode is not None and all(before.step != onset.step for before in episode.path):
-            episode.path.append(onset)
-            episode.path.sort(key=lambda move: move.step)
-
     def _drop_void(self, continued: Continued) -> None:
         place = place_after(continued)
-        for known in (self.onsets, self.truths, self.verdicts):
-            for key in [key for key in known if key > place]:
-                del known[key]
+        self.moves = {key: said for key, said in self.moves.items() if key <= place}
+        self.truths = {key: error for key, error in self.truths.items() if key <= place}
+        self.verdicts = {key: said for key, said in self.verdicts.items() if key <= place}
         self.actions = {key: said for key, said in self.actions.items() if not is_void(said[1], continued)}
         self.episodes = {number: episode for number, episode in self.episodes.items() if (number, 0) <= place}
         for number, episode in self.episodes.items():
-            episode.path = [onset for onset in episode.path if (number, onset.step) <= place]
             if (number, float("inf")) > place:
                 episode.end = episode.ended = None
 
@@ -113,6 +105,17 @@ class Ledger:
     def current(self) -> Episode | None:
         """The newest episode."""
         return self.episodes[max(self.episodes)] if self.episodes else None
+
+    def path(self, number: int) -> list[MoveOnset]:
+        """The moves of an episode that were heard of, in order."""
+        found = [onset for (episode, _), (_, onset) in self.moves.items() if episode == number]
+        return sorted(found, key=lambda onset: onset.step)
+
+    def steps(self) -> dict[int, int]:
+        """Moves of each episode; of one that was heard of only at its end, those it told then."""
+        heard = Counter(episode for episode, _ in self.moves)
+        ended = {number: episode.end.steps for number, episode in self.episodes.items() if episode.end is not None}
+        return {number: max(heard[number], ended.get(number, 0)) for number in {*heard, *ended}}
 
     @property
     def n_rejected(self) -> int:

@@ -102,7 +102,7 @@ class State:
             case Command():
                 self._take_command(stamp, message)
             case Continued():
-                self._averaged = {key for key in self._averaged if key in self.ledger.onsets}
+                self._averaged = {key for key in self._averaged if key in self.ledger.moves}
                 self._asked = None
             case Recall(role="console") if not self._is_recalled:
                 self._is_recalled = True
@@ -157,11 +157,12 @@ class State:
         )
         del self._log[:-MOST_LOGGED]
 
-    def begin_eeg(self, eeg: EegDescription) -> None:
+    def begin_eeg(self, eeg: EegDescription, now: float) -> None:
         """The EEG is heard from now on. Raises SetupError when the chain can't be designed for it."""
         self.eeg = eeg
         self.averages = Averages(eeg.picked, eeg.sfreq, self.config.chain, self.config.eeg)
         self._places = places(eeg.picked)
+        self.links.opened(eeg.name, now, speaks=True)
         self._expect_epochs()
 
     def take_eeg(self, samples: NDArray[np.floating], stamps: NDArray[np.float64], now: float) -> None:
@@ -182,13 +183,13 @@ class State:
             return
         for key in [key for key in self.ledger.verdicts if key not in self._averaged]:
             _, verdict = self.ledger.verdicts[key]
-            onset, error = self.ledger.onsets.get(key), self.ledger.truths.get(key)
-            if onset is None or error is None:
+            move, error = self.ledger.moves.get(key), self.ledger.truths.get(key)
+            if move is None or error is None:
                 continue
             self._averaged.add(key)
             if verdict.outcome != "rejected":
                 bad = frozenset(self._electrodes.bad if self._electrodes else ())
-                self.averages.expect(key, onset + verdict.clock_offset, error, bad)
+                self.averages.expect(key, move[0] + verdict.clock_offset, error, bad)
 
     # What is shown.
 
@@ -201,9 +202,7 @@ class State:
     def is_over(self) -> bool:
         """Whether the run has ended, and all of its moves that can be have been judged."""
         end = self.course.end
-        return end is not None and (
-            end.reason != "complete" or self.ledger.onsets.keys() <= self.ledger.verdicts.keys()
-        )
+        return end is not None and (end.reason != "complete" or self.ledger.moves.keys() <= self.ledger.verdicts.keys())
 
     def snapshot(self, now: float, session_now: float) -> dict[str, Any]:
         """All sections, of values that JSON has."""
@@ -267,7 +266,7 @@ class State:
                 if (said := self.ledger.verdicts.get((episode.number, onset.step)))
                 else None,
             }
-            for onset in episode.path
+            for onset in self.ledger.path(episode.number)
         ]
         belief = self._belief if self._belief and self._belief.episode == episode.number else None
         return {
