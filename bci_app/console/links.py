@@ -21,7 +21,7 @@ RATE_S = 5.0
 @dataclass
 class _Stream:
     n: int = 0
-    came: float = 0.0
+    came: float | None = None  # None where only others hear it
     chunks: deque[tuple[float, int]] = field(default_factory=deque)  # newest stamp and samples of each
     links: dict[str, Link] = field(default_factory=dict)
 
@@ -56,18 +56,17 @@ class Links:
 
     def take(self, link: Link) -> None:
         """What a process says of a stream it hears."""
-        self._streams.setdefault(link.stream, _Stream(came=float("nan"))).links[link.role] = link
+        self._streams.setdefault(link.stream, _Stream()).links[link.role] = link
 
     def rows(self, now: float) -> list[dict[str, Any]]:
-        """Each stream: who hears it how. Ages are real seconds; `state` is ok, quiet or lost (not heard any more)."""
+        """Each stream: who hears it how. Ages are real seconds; `state` is ok or quiet."""
         rows = []
         for name, stream in self._streams.items():
-            heard = stream.came == stream.came  # not a number where only others hear it
             rows.append(
                 {
                     "stream": name,
                     "n": stream.n,
-                    "age_s": round(now - stream.came, 1) if heard else None,
+                    "age_s": None if stream.came is None else round(now - stream.came, 1),
                     "rate_hz": _rate(stream),
                     "state": self._state(name, stream, now),
                     "heard_by": [
@@ -81,11 +80,11 @@ class Links:
     def age(self, name: str, now: float) -> float:
         """Real seconds since something came on a stream; infinite where nothing is heard of it."""
         stream = self._streams.get(name)
-        return now - stream.came if stream and stream.n else float("inf")
+        return now - stream.came if stream and stream.n and stream.came is not None else float("inf")
 
     def _state(self, name: str, stream: _Stream, now: float) -> str:
         ages = [link.age_s for link in stream.links.values()]
-        if name in self._speaks:
+        if name in self._speaks and stream.came is not None:
             ages.append(now - stream.came)
         return "quiet" if ages and max(ages) > QUIET_S else "ok"
 

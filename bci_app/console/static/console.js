@@ -81,7 +81,7 @@ const show = {
     const told = { true: "error", false: "correct", null: "–" };
     $("rows").replaceChildren(...verdicts.recent.slice(-20).reverse().map((verdict) => row(
       `${verdict.episode + 1}.${verdict.step}`,
-      [verdict.outcome, `${verdict.outcome}${isWrong(verdict) ? " wrong" : ""}`, verdict.reason ?? (isWrong(verdict) ? "wrong" : "")],
+      [isWrong(verdict) ? `${verdict.outcome}, wrong` : verdict.outcome, `${verdict.outcome}${isWrong(verdict) ? " wrong" : ""}`, verdict.reason],
       [told[verdict.truth], told[verdict.truth]],
       fixed(verdict.log_odds, 2), fixed(verdict.evidence, 2), fixed(verdict.latency_ms, 1),
     )));
