@@ -122,6 +122,7 @@ def test_an_average_is_of_a_channel_that_is_there(served: tuple[Shelf, str]) -> 
         (b'{"note": "a", "role": "decoder"}', 422),
         (b"{}", 422),
         (b"\xff", 422),
+        (b'{"note": "\\ud800"}', 422),
         (b'{"note": "%s"}' % (b"x" * 1001), 422),
         (b'{"note": "%s"}' % (b"x" * 20_000), 413),
     ],

@@ -186,6 +186,7 @@ def serve(source: Source, port: int, tell: Callable[[str], None]) -> None:
         access_log=False,
         proxy_headers=False,
         server_header=False,
+        ws="none",
         lifespan="off",
         timeout_graceful_shutdown=1,
     )
