@@ -31,6 +31,7 @@ from bci_app.protocol import (
     Note,
     Pause,
     Resume,
+    Screen,
     SessionEnd,
     SessionStart,
     Status,
@@ -189,7 +190,16 @@ def test_buttons_can_be_pressed_when_somebody_follows_and_there_is_something_to_
     )
     shown = tell(state, 1.0, Pause(session="s", reason="why", by_person=True))["session"]
     assert (shown["phase"], shown["pause"], shown["asked"], shown["can"]["resume"]) == ("paused", "why", None, True)
-    shown = tell(state, 1.5, Resume(session="s"))["session"]
+    shown = tell(state, 1.2, Command(session="s", command="resume", by_person=True))["session"]
+    assert shown["asked"] == "resume"
+    shown = tell(state, 1.3, Screen(session="s", name="break"), Command(session="s", command="finish", by_person=True))
+    assert (shown["session"]["asked"], shown["session"]["screen"], shown["session"]["is_last"]) == (
+        "resume",
+        "break",
+        True,
+    )
+    shown = tell(state, 1.5, Resume(session="s"), start(0))["session"]
+    assert (shown["asked"], shown["screen"], shown["can"]["finish"]) == (None, None, False)
     assert (shown["phase"], shown["can"]["pause"], shown["can"]["resume"]) == ("running", True, False)
     state.take("bci-session", 9.0, status("session"), 9.0)
     shown = tell(state, 9.0, SessionEnd(session="s", reason="interrupted", text="why"))["session"]
@@ -276,3 +286,8 @@ def test_moves_come_into_the_average_once_verdict_and_truth_are_known() -> None:
     assert shown["average"]["n"] == {"correct": 1, "error": 1}
     rows = {row["stream"]: row for row in shown["streams"]}
     assert rows["Amp"]["rate_hz"] == pytest.approx(500.0)
+    tell(state, 12.0, Continued(session="s", episode=0, step=1), move(0, 2), truth(0, 2, False))
+    assert tell(state, 12.0, verdict(0, 2, "error"))["average"]["n"]["correct"] == 1
+    stamps = np.arange(12, 14, 1 / 500)
+    state.take_eeg(samples[: len(stamps)], stamps, 14.0)
+    assert state.snapshot(14.0, 14.0)["average"]["n"] == {"correct": 2, "error": 1}

@@ -5,6 +5,7 @@ in windows of 10 ms instead of 30: what is averaged here is what verdicts are ma
 channels not repaired but left out. Pure: no LSL, no clock.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -69,6 +70,11 @@ class Averages:
         if self._buffer.expect(key, onset):
             self._waiting[key] = error, bad
             self._settle()
+
+    def forget(self, void: Callable[[Key], bool]) -> None:
+        """Moves that are void may come once more; what was averaged of them stays."""
+        self._buffer.forget(void)
+        self._waiting = {key: known for key, known in self._waiting.items() if not void(key)}
 
     def newest(self, seconds: float, sfreq: float) -> NDArray[np.floating]:
         """The newest EEG, up to so many session seconds: (n_times, n_channels), a view."""

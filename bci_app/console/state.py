@@ -23,12 +23,17 @@ from bci_app.protocol import (
     Command,
     Continued,
     Electrodes,
+    EpisodeStart,
     LateFrame,
     Link,
+    MoveOnset,
     Note,
+    Pause,
     Recall,
+    Resume,
     Role,
     Screen,
+    SessionEnd,
     Status,
 )
 from decoder.chain import design
@@ -101,9 +106,17 @@ class State:
                 self._late.append(message)
             case Command():
                 self._take_command(stamp, message)
-            case Continued():
-                self._averaged = {key for key in self._averaged if key in self.ledger.moves}
+            case EpisodeStart() | MoveOnset():
+                self._screen = None  # the map again
+            case Pause() if self._asked is not None and self._asked.command == "pause":
                 self._asked = None
+            case Resume() | SessionEnd():
+                self._asked = None
+            case Continued():
+                self._asked = None
+                self._averaged = {key for key in self._averaged if key in self.ledger.moves}
+                if self.averages is not None:
+                    self.averages.forget(lambda key: key not in self.ledger.moves)
             case Recall(role="console") if not self._is_recalled:
                 self._is_recalled = True
                 for said in message.said:
@@ -122,8 +135,9 @@ class State:
     def _take_command(self, stamp: float, command: Command) -> None:
         if command.command == "finish":
             self.course.is_last = True
-        if command.by_person:
+        if command.by_person and command.command != "finish":
             self._asked = command
+        if command.by_person:
             self.log(stamp, "console", "info", f"{command.command} asked for at the console")
 
     def _say_what_changed(self, stamp: float) -> None:
@@ -139,8 +153,6 @@ class State:
         if said != self._last_said:
             self._last_said = said
             self.log(stamp, "stimulus", "info", f"The run {said}")
-        if pause is not None or end is not None:
-            self._asked = None if self._asked is not None and self._asked.command == "pause" else self._asked
 
     def log(self, stamp: float, role: str, level: str, text: str) -> None:
         """A line for the experimenter; the stamp is a session time."""

@@ -135,6 +135,7 @@ function messageOf(session) {
   if (session.is_last && session.phase !== "ended") return "The run ends after what is under way.";
   if (session.phase !== "looking" && !session.is_led && session.phase !== "ended") return "No bci-app leads this session: the buttons do nothing.";
   if (session.is_late) return "This console came later: its figures begin with the episode that was under way then.";
+  if (session.screen) return `The participant sees: ${session.screen}.`;
   return "";
 }
 
