@@ -30,6 +30,8 @@ EVERY_S = 0.2
 """Real seconds between two looks at what changed (decided: faster than people read)."""
 BEAT_S = 1.0
 """Real seconds after which a viewer hears something even if nothing changed: the page tells who is cut off."""
+SLOWLY = ("progress", "streams", "head")
+"""Sections that change all the time; they are sent once in `BEAT_S`, for a page that is drawn takes the processor."""
 MOST_VIEWERS = 20
 """At once (decided): each is a connection that is kept open."""
 MOST_BYTES = 10_000
@@ -120,15 +122,17 @@ class Pages:
         """What a viewer doesn't have yet, as server-sent events, until it goes away or the console ends."""
         self._n_viewers += 1
         sent: dict[str, str] = {}
-        silent_s = 0.0
+        since_beat_s = BEAT_S
         try:
             while not self._source.ended.is_set():
-                new = {name: text for name, text in self.sections().items() if sent.get(name) != text}
-                if new or silent_s >= BEAT_S:
+                is_beat = since_beat_s >= BEAT_S
+                since_beat_s = EVERY_S if is_beat else since_beat_s + EVERY_S
+                now = {name: text for name, text in self.sections().items() if is_beat or name not in SLOWLY}
+                new = {name: text for name, text in now.items() if sent.get(name) != text}
+                if new or is_beat:
                     body = ",".join(f'"{name}":{text}' for name, text in new.items())
                     yield f"data: {{{body}}}\n\n"
-                    sent, silent_s = sent | new, 0.0
-                silent_s += EVERY_S
+                    sent |= new
                 await asyncio.sleep(EVERY_S)
             yield "event: end\ndata: {}\n\n"
         finally:

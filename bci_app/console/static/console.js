@@ -52,7 +52,6 @@ const show = {
     allow("send", session.can?.note);
     set("finish", session.task === "calibration" ? "End after this block" : "End after this episode");
     set("message", messageOf(session));
-    if (known.log) show.log(known.log);
   },
   progress(progress) {
     const { done, total, unit } = progress;
