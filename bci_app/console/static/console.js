@@ -124,7 +124,7 @@ function linkOf(link) {
   if (link.rate_hz !== null) parts.push(`${fixed(link.rate_hz)} Hz`);
   if (link.gaps) parts.push(`${link.gaps} gaps`);
   if (link.reconnects) parts.push(`${link.reconnects} reconnects`);
-  if (link.offset_s) parts.push(`clock ${(1000 * link.offset_s).toFixed(1)} ms`);
+  if (Math.abs(link.offset_s ?? 0) >= 5e-5) parts.push(`clock ${(1000 * link.offset_s).toFixed(1)} ms`);
   return parts.join(", ");
 }
 
