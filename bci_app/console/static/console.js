@@ -120,7 +120,7 @@ const show = {
 };
 
 function linkOf(link) {
-  const parts = [`${link.role} ${fixed(link.age_s)} s ago`];
+  const parts = [`${link.role} ${fixed(link.age_s)} s`];
   if (link.rate_hz !== null) parts.push(`${fixed(link.rate_hz)} Hz`);
   if (link.gaps) parts.push(`${link.gaps} gaps`);
   if (link.reconnects) parts.push(`${link.reconnects} reconnects`);
