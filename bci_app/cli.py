@@ -2,6 +2,7 @@
 
 import signal
 from importlib.metadata import version
+from os import getpid
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -12,6 +13,7 @@ from typer.core import TyperGroup
 from bci_app import threads  # noqa: F401  isort: skip  -- before anything loads linear algebra
 from bci_app import bids_cli, policy_cli, process_cli
 from bci_app import config as configuration
+from bci_app.crew import beside
 from bci_app.errors import LinkLost, SetupError
 from bci_app.protocol import PROTOCOL_VERSION
 from bci_app.terminal import finish, print_json, progress_bar, show_settings
@@ -84,6 +86,7 @@ RehearseOption = Annotated[
 ResumeOption = Annotated[
     bool, typer.Option("--resume", help="Go on where the participant's last run of this task was broken off.")
 ]
+ConsoleOption = Annotated[bool, typer.Option("--console", help="Show the session on a web page of this computer.")]
 SimulationSeedOption = Annotated[
     int | None, typer.Option("--participant-seed", help="Seed of the simulated participant: who it is.")
 ]
@@ -107,6 +110,7 @@ def calibrate(
     session: Annotated[str | None, typer.Option("--session", help="Session id, for --remote processes.")] = None,
     remote: RemoteOption = None,
     resume: ResumeOption = False,
+    console: ConsoleOption = False,
     config: ConfigOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -121,7 +125,7 @@ def calibrate(
     wishes = verbs.Wishes(
         settings, participant, visit, simulate, speed, seed, session, tuple(remote or ()), resume=resume
     )
-    with progress_bar(as_json) as progress:
+    with beside("console", _console(console, config)), progress_bar(as_json) as progress:
         outcome = verbs.calibrate(wishes, progress, fitting.look_ahead)
     _finish_run(outcome, as_json, f"Next: bci-app fit {' '.join(outcome['recordings'])}{_with(config)}")
 
@@ -168,6 +172,7 @@ def online(
     session: Annotated[str | None, typer.Option("--session", help="Session id, for --remote processes.")] = None,
     remote: RemoteOption = None,
     resume: ResumeOption = False,
+    console: ConsoleOption = False,
     config: ConfigOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -180,7 +185,7 @@ def online(
     wishes = verbs.Wishes(
         settings, participant, visit, simulate, speed, seed, session, tuple(remote or ()), resume=resume
     )
-    with progress_bar(as_json) as progress:
+    with beside("console", _console(console, config)), progress_bar(as_json) as progress:
         outcome = verbs.online(wishes, map_name, model, policy, below_gate, progress)
     _finish_run(outcome, as_json, f"Next: bci-app replay {outcome['recording']}")
 
@@ -262,6 +267,7 @@ def demo(
     seed: Annotated[int, typer.Option("--seed", help="Seed of participant and runs.")] = 1,
     decodability: DecodabilityOption = None,
     background: BackgroundOption = None,
+    console: ConsoleOption = False,
     config: ConfigOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -269,7 +275,7 @@ def demo(
     from bci_app import demo as demonstration
 
     settings = configuration.load(config, _overrides(True, decodability, background, seed))
-    with progress_bar(as_json) as progress:
+    with beside("console", _console(console, config)), progress_bar(as_json) as progress:
         summary = demonstration.run(settings, speed, seed, progress)
     if as_json:
         print_json(summary)
@@ -383,6 +389,11 @@ def _overrides(
     }
     given = {key: value for key, value in simulation.items() if value is not None}
     return {"simulation": given} | ({"stimulus": {"headless": True}} if headless else {})
+
+
+def _console(wanted: bool, config: Path | None) -> list[str] | None:
+    """The console's command line; None where none is wanted."""
+    return ["--parent", str(getpid()), *(["--config", str(config)] if config else [])] if wanted else None
 
 
 def _with(config: Path | None) -> str:

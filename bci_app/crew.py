@@ -4,6 +4,8 @@ import logging
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
@@ -12,6 +14,8 @@ from bci_app.protocol import Role
 
 log = logging.getLogger(__name__)
 
+BESIDE_TIMEOUT_S = 5.0
+"""Real seconds the console may take to exit."""
 END_TIMEOUT_S = 15.0
 """Real seconds a process may take to exit after it was asked to."""
 
@@ -90,3 +94,28 @@ class Crew:
                 process.wait()
         for file in self._files:
             file.close()
+
+
+@contextmanager
+def beside(role: Role, arguments: list[str] | None) -> Iterator[None]:
+    """A process that runs beside a verb, unless `arguments` are None: nobody waits for it, nobody minds its death, and
+    it ends with the verb. What it says goes to stderr."""
+    if arguments is None:
+        yield
+        return
+    process = subprocess.Popen(
+        [sys.executable, "-m", "bci_app", role, *arguments],
+        stdin=subprocess.DEVNULL,
+        stdout=sys.__stderr__,
+        start_new_session=True,
+    )
+    try:
+        yield
+    finally:
+        process.terminate()
+        try:
+            process.wait(BESIDE_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            log.warning("The %s doesn't end; killing it.", role)
+            process.kill()
+            process.wait()

@@ -4,12 +4,14 @@ Inlets deliver raw stamps: no clock synchronisation, no dejittering. Who needs t
 himself and says so, which is what makes a replay exact.
 """
 
+import logging
 import os
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 from uuid import uuid4
 
 import numpy as np
@@ -21,6 +23,8 @@ from bci_app.config import EegConfig
 from bci_app.eeg import EegDescription
 from bci_app.errors import LinkLost, SetupError
 from bci_app.protocol import PROTOCOL_VERSION, SESSION, AnyMessage, BadMessage, Message, StreamSpec, decode, encode
+
+log = logging.getLogger(__name__)
 
 USUAL_PLACES = (Path("lsl_api.cfg"), Path("~/lsl_api/lsl_api.cfg").expanduser(), Path("/etc/lsl_api/lsl_api.cfg"))
 if "LSLAPICFG" not in os.environ and not any(path.exists() for path in USUAL_PLACES):
@@ -45,11 +49,15 @@ def local_clock() -> float:
 
 
 class MessageOutlet:
-    """Publishes protocol messages on one of our string streams."""
+    """Publishes protocol messages on one of our string streams; its header tells the session's clock, if given."""
 
-    def __init__(self, spec: StreamSpec, session: str) -> None:
+    def __init__(self, spec: StreamSpec, session: str, clock: Clock | None = None) -> None:
         info = pylsl.StreamInfo(spec.name, spec.kind, 1, pylsl.IRREGULAR_RATE, "string", spec.source_id(session))
         _describe_ours(info, session)
+        if clock is not None:
+            info.desc().append_child_value("speed", repr(clock.speed))
+            info.desc().append_child_value("origin", repr(clock.origin))
+        info.desc().append_child_value("process", str(os.getpid()))
         self._outlet = pylsl.StreamOutlet(info)
 
     def push(self, message: Message, stamp: float) -> None:
@@ -111,6 +119,66 @@ class Received:
     arrived: float
 
 
+@dataclass(frozen=True)
+class Header:
+    """Of one of our message streams: the session clock's speed and origin (1 and 0 where none are told), the process
+    that sends (0 where none is told), and on which computer."""
+
+    speed: float
+    origin: float
+    process: int
+    hostname: str
+
+
+class Watch:
+    """Knows at any moment which of our streams are on the network; LSL asks for them in a thread of its own."""
+
+    FORGET_S: ClassVar[float] = 3.0
+    """Real seconds without an answer after which a stream is gone (decided: LSL asks about twice a second)."""
+
+    def __init__(self) -> None:
+        ours = f"starts-with(source_id,'{StreamSpec.PREFIX}/')"
+        self._resolver = pylsl.ContinuousResolver(pred=ours, forget_after=self.FORGET_S)
+
+    def found(self) -> dict[str, pylsl.StreamInfo]:
+        """The streams by their source id."""
+        return {info.source_id(): info for info in self._resolver.results()}
+
+
+class LateInlet:
+    """Listens to a stream that may never be there, or come later: whoever asks for its messages never waits.
+
+    Finding and opening takes seconds where the sender has just died, so a thread does that.
+    """
+
+    def __init__(self, spec: StreamSpec, session: str) -> None:
+        self._spec, self._session = spec, session
+        self._inlet: MessageInlet | None = None
+        self._ended = threading.Event()
+        threading.Thread(target=self._find, name=f"find {spec.name}", daemon=True).start()
+
+    def pull(self) -> list[Received]:
+        """What came since the last call; none of it is waited for. What is no message of this session is left out."""
+        inlet = self._inlet
+        if inlet is None:
+            return []
+        received = inlet.pull()
+        inlet.refused.clear()
+        return received
+
+    def close(self) -> None:
+        """Neither look for it nor listen to it any longer."""
+        self._ended.set()
+        self._inlet = None
+
+    def _find(self) -> None:
+        while self._inlet is None and not self._ended.wait(1.0):
+            try:
+                self._inlet = MessageInlet.find(self._spec, self._session, timeout=0.5)
+            except LinkLost:
+                log.info("Stream '%s' was found but is gone again.", self._spec.name)
+
+
 class MessageInlet:
     """Listens to one of our string streams; survives a restart of its sender."""
 
@@ -146,6 +214,17 @@ class MessageInlet:
     def clock_correction(self) -> float:
         """Seconds to add to the sender's stamps to put them on this machine's clock."""
         return _correction(self._inlet, self._spec.name)
+
+    def header(self) -> Header:
+        """What its header tells. Raises LinkLost when the sender doesn't answer."""
+        try:
+            desc = self._inlet.info(OPEN_TIMEOUT_S).desc()
+        except (pylsl.util.TimeoutError, pylsl.util.LostError) as error:
+            raise LinkLost(
+                f"Stream '{self._spec.name}' was announced but doesn't answer. Restart its sender."
+            ) from error
+        speed, origin, process = (desc.child_value(name) for name in ("speed", "origin", "process"))
+        return Header(float(speed or 1.0), float(origin or 0.0), int(process or 0), self.hostname)
 
 
 class EegInlet:

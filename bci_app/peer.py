@@ -39,7 +39,7 @@ class Peer:
         self.clock = clock
         self._role: Role = role
         self._parent = parent
-        self._outlet = MessageOutlet(spec, session)
+        self._outlet = MessageOutlet(spec, session, clock)
         self._said: tuple[State, str] | None = None
         self._said_at = 0.0
         self._hears: dict[str, float] = {}

@@ -27,7 +27,8 @@ ReturningOption = Annotated[
 
 
 def register(app: typer.Typer) -> None:
-    """Add the verbs `stimulus`, `decoder`, `policy` and `amplifier`."""
+    """Add the verbs `console`, `stimulus`, `decoder`, `policy` and `amplifier`."""
+    app.command(rich_help_panel="In the lab")(console)
     for verb in (stimulus, decoder, policy, amplifier):
         app.command(rich_help_panel="One process alone")(verb)
 
@@ -36,6 +37,25 @@ def _prepare(path: Path | None) -> Config:
     # Each process logs to stderr; bci-app, when it started them, keeps that in a file beside the recording.
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     return configuration.load(path)
+
+
+def console(
+    session: Annotated[
+        str | None, typer.Option("--session", help="The one to show; default: the one that runs.")
+    ] = None,
+    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Of the page; 0 for any that is free.")] = 0,
+    config: ConfigOption = None,
+    parent: ParentOption = None,
+) -> None:
+    """Show a running session on a web page of this computer: for the experimenter."""
+    from bci_app.console import process
+
+    def tell(address: str) -> None:
+        # Beside a verb there may be a progress bar on the line.
+        typer.echo(f"{'' if parent is None else chr(10)}Console: {address}")
+
+    logging.basicConfig(level=logging.WARNING, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    process.run(configuration.load(config), session, port, parent, tell)
 
 
 def stimulus(

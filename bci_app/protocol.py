@@ -280,16 +280,21 @@ class Belief(Message):
     step: Step
     goal: tuple[Annotated[float, Field(ge=0, le=1)], ...]
     """Probability of each free cell of the map, row by row."""
+    exact: bool = False
+    """Computed by Bayes' rule from what the policy heard, for it has learnt no belief of its own."""
 
 
 class Command(Message):
     """From bci-app to the stimulus: begin, pause and go on again because of the other processes, stop as soon as
-    possible, or finish: complete after the block under way."""
+    possible, or finish: complete after the block, or online the episode, under way. From the console to bci-app: what
+    the experimenter asks for."""
 
     type: Literal["Command"] = "Command"
     command: Literal["start", "pause", "resume", "stop", "finish"]
     text: str = ""
     """Why."""
+    by_person: bool = False
+    """Whether it is a person's: only a person ends the pause."""
 
 
 class Returned(Message):

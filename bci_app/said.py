@@ -9,6 +9,8 @@ from typing import TypeVar
 
 from bci_app.protocol import (
     Action,
+    BlockEnd,
+    BlockStart,
     Continued,
     Electrodes,
     EpisodeEnd,
@@ -16,7 +18,9 @@ from bci_app.protocol import (
     EpisodeStart,
     Message,
     MoveOnset,
+    Pause,
     Recall,
+    Resume,
     Role,
     Said,
     SessionStart,
@@ -28,6 +32,8 @@ from bci_app.protocol import (
 Place = tuple[int, float]
 """(episode, step): how far a run was when something was said; an episode's end lies behind all of its steps."""
 T = TypeVar("T")
+_OUTLINE = (SessionStart, BlockStart, BlockEnd, EpisodeStart, EpisodeEnd, Pause, Resume)
+"""How far a run has come."""
 
 
 def place_of(message: Message) -> Place | None:
@@ -99,6 +105,11 @@ class Memory:
             case "decoder":
                 said = [*_openings(said), *_unjudged(said), *_last_episode(said, (EpisodeStart, MoveOnset, Verdict))]
                 said += _last_decision(self._said)
+            case "console":
+                # Not all moves: the stimulus, which mustn't lose time over it, hears this as well.
+                said = [item for item in said if isinstance(item.message, _OUTLINE)]
+                said += _last_episode(self._said, (MoveOnset, Verdict)) + _last_decision(self._said)
+                said.sort(key=lambda item: item.stamp)
         return Recall(session=self._session, role=role, said=tuple(said))
 
 

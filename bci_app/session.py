@@ -21,18 +21,21 @@ from bci_app.errors import LinkLost, SetupError
 from bci_app.heard import Heard, Outcome
 from bci_app.links import Links
 from bci_app.lookout import Look, Lookout, Seen
-from bci_app.lsl import MessageInlet, describe, find_eeg, local_clock, session_clock
+from bci_app.lsl import LateInlet, MessageInlet, describe, find_eeg, local_clock, session_clock
 from bci_app.peer import Peer
 from bci_app.progress import Progress
 from bci_app.protocol import (
     ACTIONS_STREAM,
     AMPLIFIER_NOTES,
+    CONSOLE,
     MARKERS,
     SESSION,
     STIMULUS,
     TRUTH,
     VERDICTS,
     Command,
+    Note,
+    Returned,
     Role,
     simulated_source_id,
 )
@@ -183,6 +186,7 @@ class _Conductor:
         self.peer = Peer(SESSION, "session", session, clock)
         self.crew = Crew(plan.run.logs)
         self.inlets: dict[Role, MessageInlet] = {}
+        self.console = LateInlet(CONSOLE, session)
         self.heard = Heard(plan.roles)
         self.links = Links(session, "session")
         self.linked_at = 0.0
@@ -309,6 +313,7 @@ class _Conductor:
                 self.peer.push(Command(session=self.session, command="start"))
             self.peer.say("running")
             self._listen(timeout=0.05)
+            self._follow_console()
             self._disturb()
             self.supervisor.tend()
             self._check()
@@ -352,6 +357,19 @@ class _Conductor:
         offsets = {inlet.name: inlet.clock_correction() for inlet in known if inlet.name not in self.links.silent}
         for link in self.links.told(now, offsets):
             self.peer.push(link)
+
+    def _follow_console(self) -> None:
+        """Do what the experimenter asks for at the console, if there is one, and say so, for the record."""
+        for item in self.console.pull():
+            match item.message:
+                case Command(command="pause" | "resume" | "finish" as command, text=text):
+                    asked = Command(session=self.session, command=command, text=text, by_person=True)
+                    self.supervisor.memory.take(self.clock.now(), asked)
+                    self.peer.push(asked)
+                case Note(level=level, text=text):
+                    self.peer.push(Note(session=self.session, role="console", level=level, text=text))
+                case Returned(role="console"):
+                    self.peer.push(self.supervisor.memory.recall("console"))
 
     def _look_ahead(self) -> None:
         """After each block of a calibration, tell what more would be worth; end it if that is little, and so wanted."""
@@ -449,6 +467,7 @@ class _Conductor:
         finally:
             if self.lookout is not None:
                 self.lookout.close()
+            self.console.close()
             self.inlets.clear()
             self.crew.end()
             self._save_sidecar(**self._closing())

@@ -7,9 +7,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from bci_app.gridworld import ACTIONS, GridWorld
-from bci_app.protocol import Action, Continued, EpisodeStart, Message, MoveOnset, Verdict, VerdictUsed
+from bci_app.protocol import Action, Belief, Continued, EpisodeStart, Message, MoveOnset, Verdict, VerdictUsed
 from bci_app.said import place_after
 from policy.agent import Agent, Decision
+
+BELIEF_DIGITS = 4
+"""Of the probabilities that are told for people to look at."""
 
 
 @dataclass
@@ -105,6 +108,19 @@ class Navigator:
     def awaited(self) -> Action | None:
         """The last action, while the move it is for hasn't been made."""
         return self._last if self._last is not None and self._newest < self._last.step else None
+
+    def belief(self) -> Belief | None:
+        """Where the policy believed the goal to be as it chose the last action; None before the first."""
+        if self._last is None:
+            return None
+        believed = self.agent.believed()
+        return Belief(
+            session=self.session,
+            episode=self._last.episode,
+            step=self._last.step,
+            goal=tuple(round(probability, BELIEF_DIGITS) for probability in believed.goal),
+            exact=believed.exact,
+        )
 
     def is_late(self, verdict: Verdict) -> bool:
         """Whether the policy has already moved on without this verdict."""

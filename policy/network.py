@@ -104,6 +104,11 @@ class Actor(nn.Module):
         """One step of ``n`` episodes; ``hidden``, (n, n_hidden), is zeros when an episode starts."""
         raise NotImplementedError
 
+    def goal_logits(self, inputs: Any, output: Output) -> Tensor | None:
+        """Where it believes the goal to be, (n, n_cells); None where it has learnt no belief (``policy.distillation``
+        teaches it, to who hears verdicts)."""
+        return None
+
 
 class Network(Actor):
     """Our actor. A fully connected layer on a one-hot input is a row of its weights, so it is looked up as one.
@@ -143,6 +148,10 @@ class Network(Actor):
     def forward(self, inputs: Inputs, hidden: Tensor) -> Output:
         """One step of ``n`` episodes; ``hidden``, (n, n_hidden), is zeros when an episode starts."""
         return self.think(inputs, self.move(inputs.move), self.from_cell(inputs.cell), hidden)
+
+    def goal_logits(self, inputs: Inputs, output: Output) -> Tensor | None:
+        """Of the auxiliary head; None for who hears nothing, and so never had a teacher with a belief."""
+        return self.goal(output.features) if bool((inputs.information > 0).all()) else None
 
     def think(self, inputs: Inputs, move: Tensor, cell: Tensor, hidden: Tensor) -> Output:
         """`forward` from rows already looked up, (n, 3 * n_hidden) and (n, WIDTH), for gradients by position."""
@@ -218,6 +227,10 @@ class ToldNetwork(Actor):
             return listened
         searched = self._padded(self.searching, inputs, hidden)
         return Output(*(torch.where(searches[:, None], a, b) for a, b in zip(searched, listened, strict=True)))
+
+    def goal_logits(self, inputs: Inputs, output: Output) -> Tensor | None:
+        """Of the one that listens; None where it searches."""
+        return self.listening.goal_logits(inputs, output)
 
     def _padded(self, network: Network, inputs: Inputs, hidden: Tensor) -> Output:
         """One of the two; a smaller memory leaves the rest of the larger as it is, empty."""

@@ -123,8 +123,12 @@ class _Server:
         self._answer(self.navigator.judged(verdict), arrived)
 
     def _answer(self, action: Action | None, since: float) -> None:
-        if action is not None:
-            self.peer.push(action.model_copy(update={"latency_ms": (local_clock() - since) * 1e3}))
+        if action is None:
+            return
+        self.peer.push(action.model_copy(update={"latency_ms": (local_clock() - since) * 1e3}))
+        belief = self.navigator.belief()  # only now: the action doesn't wait for what is for people to look at
+        if belief is not None:
+            self.peer.push(belief)
 
     def _check_map(self, start: SessionStart) -> None:
         layout = self.navigator.world.layout()

@@ -197,9 +197,12 @@ class _Shell:
             match item.message:
                 case Command(command="start"):
                     self._paradigm.start(now)
-                case Command(command="pause", text=text):
-                    self._paradigm.pause(now, text)
-                case Command(command="resume") if not self._paradigm.is_paused_by_person:
+                case Command(command="pause", text=text, by_person=by_person):
+                    self._paused_for_action &= not by_person
+                    self._paradigm.pause(now, text, by_person)
+                case Command(command="resume", by_person=True) if self._paradigm.is_paused_by_person:
+                    self._paradigm.release(now)
+                case Command(command="resume", by_person=False) if not self._paradigm.is_paused_by_person:
                     self._paradigm.resume(now)
                 case Command(command="finish"):
                     self._paradigm.finish(now)

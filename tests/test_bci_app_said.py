@@ -126,3 +126,9 @@ def test_an_episode_that_ended_stays_ended() -> None:
     begun = Continued(session="s", episode=1, step=0)
     assert not is_void(start(1), begun)
     assert is_void(move(1, 1), begun)
+
+
+def test_a_console_that_comes_late_is_told_the_outline_and_the_episode_under_way() -> None:
+    decision = Electrodes(session="s", episode=1)
+    expected = [opening(), start(0), end(0), start(1), decision, move(1, 1)]
+    assert told(memory_of(STORY), "console") == expected

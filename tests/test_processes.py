@@ -75,6 +75,9 @@ def test_a_foreign_stimulus_works_with_our_decoder_and_policy_and_nobody_opens_t
         until(lambda: decoder.poll() is not None and policy.poll() is not None, 15, "both to end", amplifier.play)
         assert (decoder.returncode, policy.returncode) == (0, 0), decoder.communicate()[1]
         assert len(actions.of("Action")) == 3  # none for a step after the limit
+        told = [(kind, said["step"]) for _, said in actions.heard if (kind := said["type"]) in ("Action", "Belief")]
+        assert told == [(kind, step) for step in (1, 2, 3) for kind in ("Action", "Belief")]  # no action waits for it
+        assert all(len(belief["goal"]) == 121 for belief in actions.of("Belief"))
         refusals = [note["text"] for listener in (verdicts, actions) for note in listener.of("Note")]
         assert sum("Refused a sample on bci-stimulus" in text for text in refusals) == 2 * len(GARBAGE)
         assert [verdict["step"] for verdict in verdicts.of("Verdict")] == [1, 2, 3]

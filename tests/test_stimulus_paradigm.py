@@ -444,6 +444,33 @@ def test_online_shows_every_distance_once_in_the_recorded_order(name: str) -> No
     assert starts[0] == starts[1]
 
 
+@pytest.mark.parametrize("when", ["before the first move", "in an episode", "in a pause", "after its last move"])
+def test_an_online_run_can_end_after_the_episode_under_way(when: str) -> None:
+    runner = guided(online())
+    paradigm = runner.paradigm
+    if when == "after its last move":
+        runner.until(lambda: bool(runner.of(MoveOnset)) and paradigm.waiting_for is None and _at_goal(runner))
+    elif when != "before the first move":
+        runner.until(lambda: len(runner.of(MoveOnset)) == 1)
+    if when == "in a pause":
+        paradigm.pause(runner.now, "a question", by_person=True)
+        runner.until(lambda: paradigm.waiting_for == "resume")
+    paradigm.finish(runner.now)
+    paradigm.release(runner.now)
+    paradigm.resume(runner.now)
+    runner.take()
+    runner.all()
+    assert paradigm.done
+    assert [out.message.reason for out in runner.of(EpisodeEnd)] == ["goal"]
+    assert runner.sent[-1].message == SessionEnd(session="s", reason="complete")
+    assert runner.sent[-1].stamp - runner.of(MoveOnset)[-1].stamp >= 0.6
+
+
+def _at_goal(runner: Runner) -> bool:
+    (goal,), last = runner.of(EpisodeGoal), runner.of(MoveOnset)[-1]
+    return last.message.position == goal.message.goal
+
+
 def test_online_ends_a_rest_after_the_last_arrow() -> None:
     runner = guided(online())
     runner.all()
