@@ -83,7 +83,8 @@ def _attempt_here(number: int, job: Job, notes: Path, owner: int) -> tuple[int, 
 
     It ends where the process `owner` that waits for it was killed: nobody would read the result.
     """
-    threading.Thread(target=_end_with, args=(owner,), daemon=True).start()
+    if os.getpid() != owner:  # one worker is none: the job runs in the owner itself
+        threading.Thread(target=_end_with, args=(owner,), daemon=True).start()
     if device().type == "cuda":
         torch.cuda.set_device(number % torch.cuda.device_count())
     partial = notes / f"{number}.partial"

@@ -369,11 +369,11 @@ class Short:
 
 
 def test_progress_never_stops_a_training_and_makes_no_folder(tmp_path):
-    assert workers._attempt_here(3, Short(), tmp_path / "gone") == (3, b"done")
+    assert workers._attempt_here(3, Short(), tmp_path / "gone", os.getpid()) == (3, b"done")
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "1").mkdir()  # a note that can neither be read nor replaced
-    workers._attempt_here(1, Short(), tmp_path)
-    workers._attempt_here(0, Short(), tmp_path)
+    workers._attempt_here(1, Short(), tmp_path, os.getpid())
+    workers._attempt_here(0, Short(), tmp_path, os.getpid())
     watch = Watch([Short(), Short()], tmp_path, lambda *news: None, "policies")
     assert (watch._noted(0), watch._noted(1)) == (0.5, 0.0)
 
