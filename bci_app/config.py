@@ -94,6 +94,8 @@ class OnlineConfig(Section):
 
     distances: tuple[int, int] = (2, 20)
     """Shortest and longest initial distance to the goal, in moves (paper)."""
+    rounds: Count = 1
+    """Episodes of each initial distance (paper: one)."""
     max_steps: Count = 60
     """Moves after which an episode ends without the goal (paper)."""
     break_every: Annotated[int, Field(ge=0)] = 5

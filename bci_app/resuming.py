@@ -65,8 +65,17 @@ def _check_same(sidecar: dict[str, Any], config: Config, task: str, run: Run) ->
     section = "online" if task == "online" else "calibration"
     before = sidecar.get("config", {}).get(section, {})
     now = config.model_dump(mode="json")[section]
-    for key in ("map", "n_blocks", "moves_per_block", "max_steps", "distances", "episodes_seed", "error_probability"):
-        if key in now and before.get(key) != now[key]:
+    for key in (
+        "map",
+        "n_blocks",
+        "moves_per_block",
+        "max_steps",
+        "distances",
+        "rounds",
+        "episodes_seed",
+        "error_probability",
+    ):
+        if key in now and before.get(key, now[key]) != now[key]:
             raise SetupError(
                 f"{run.xdf} was begun with {section}.{key} = {before.get(key)}, and now it is {now[key]}. Go on with "
                 "the configuration it was begun with, or leave out --resume."

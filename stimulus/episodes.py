@@ -279,7 +279,8 @@ def online_plan(
 
     Raises SetupError when the map has none of the wanted distances.
     """
-    episodes = online_episodes(world, run.distances, run.episodes_seed)
+    seeds = range(run.episodes_seed, run.episodes_seed + run.rounds)
+    episodes = [episode for number in seeds for episode in online_episodes(world, run.distances, number)]
     opening = SessionStart(
         session=session,
         task="online",

@@ -54,6 +54,14 @@ def test_online_episodes_stop_at_the_longest_path_of_the_map() -> None:
     assert online_episodes(LINE_OF_THREE, (2, 20), 0) in ((Episode(0, 2),), (Episode(2, 0),))
 
 
+def test_further_rounds_bring_other_episodes_of_the_same_distances() -> None:
+    world = load_map("open")
+    once, thrice = (list(online_plan(OnlineConfig(rounds=n), world, "s", "P", 1).episodes) for n in (1, 3))
+    distances = sorted(int(world.distance[episode.start, episode.goal]) for episode in thrice)
+    assert distances == sorted([*range(2, 21)] * 3)
+    assert set(once) < set(thrice)
+
+
 @pytest.mark.parametrize(("world", "distances"), [(PAIR, (2, 20)), (LINE_OF_THREE, (1, 2)), (LINE_OF_THREE, (3, 2))])
 def test_online_episodes_that_can_not_be_are_refused(world: GridWorld, distances: tuple[int, int]) -> None:
     with pytest.raises(SetupError, match=r"online\.distances"):
