@@ -12,6 +12,7 @@ before.
 import argparse
 import json
 import random
+import shutil
 import tempfile
 import time
 from collections import Counter
@@ -135,6 +136,7 @@ class Files:
             "map": (folder / "whole.txt", lambda path: load_map(str(path)).n_cells > 0),
         }
         if recording is not None:
+            recording = Path(shutil.copy(recording, folder / "whole.xdf"))
             write_sums(recording)
             self.whole = read(recording)
             self.kinds["recording"] = (recording, self._recording)
