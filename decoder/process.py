@@ -197,7 +197,8 @@ class _Server:
         same_clock = stimulus.hostname == self._eeg.description.hostname and abs(apart) < SAME_CLOCK_S
 
         def offset() -> float:
-            return 0.0 if same_clock else stimulus.clock_correction() - self._eeg.clock_correction()
+            behind_s = self._reception.behind_s(local_clock())
+            return (0.0 if same_clock else stimulus.clock_correction() - self._eeg.clock_correction()) - behind_s
 
         ended, ended_at = False, 0.0
         while not ended or self._buffer.n_waiting:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bci_app.errors import LinkLost, SetupError
+from decoder.clock_drift import ClockDrift
 from decoder.timeline import MAX_JITTER, measured_rate
 
 SILENCE_S = 1.0
@@ -61,6 +62,8 @@ class Reception:
         self._was_away = False  # and must be asked what it is before it counts again
         self._delays: deque[tuple[float, float]] = deque()  # of the last seconds: when it came, and how late, session s
         self._usual: float | None = None  # how late they come, session seconds
+        self._drift = ClockDrift()
+        self._has_drifted = False
         self.moved_s = 0.0
         """Session seconds by which they come later than in the beginning; 0 for less than matters."""
         self._rate_times = np.empty(0)
@@ -139,7 +142,9 @@ class Reception:
             return []
         delay = min(late for _, late in self._delays)
         self._usual = delay if self._usual is None else self._usual
-        later, had_moved = delay - self._usual, bool(self.moved_s)
+        if self._speed <= 1 and not self.moved_s:
+            self._drift.take(now, delay)
+        later, had_moved = delay - self._usual - self.behind_s(now), bool(self.moved_s)
         self.moved_s = later if abs(later) > self._most_moved_s else 0.0
         if self.moved_s and not had_moved:
             self._is_short = True
@@ -150,7 +155,18 @@ class Reception:
                     "beginning, so no move can be judged. Restart the amplifier's connector if it lasts.",
                 )
             ]
-        return [("info", "The EEG's time stamps are right again.")] if had_moved and not self.moved_s else []
+        if had_moved and not self.moved_s:
+            return [("info", "The EEG's time stamps are right again.")]
+        if self._drift.ppm and not self._has_drifted:
+            self._has_drifted = True
+            slow = "slow" if self._drift.ppm > 0 else "fast"
+            text = f"The amplifier's clock is {abs(self._drift.ppm):.0f} ppm {slow}. Moves are placed by it."
+            return [("warning", text)]
+        return []
+
+    def behind_s(self, now: float) -> float:
+        """Seconds by which the amplifier's clock has fallen behind since the beginning, by its drift."""
+        return self._drift.at(now)
 
     def _check_rate(self, times: NDArray[np.float64]) -> list[Remark]:
         self._rate_times = np.concatenate((self._rate_times, times))
