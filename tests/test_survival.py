@@ -1,9 +1,14 @@
 """What a session survives, live: a short drill. `bci-app drill --sessions 20` is the long one."""
 
 import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 from conftest import Cli
+from lsl_peers import lab_config
 
 
 @pytest.mark.timeout(400)
@@ -27,3 +32,32 @@ def test_a_fault_that_isnt_drilled_is_refused(cli: Cli) -> None:
     done = cli("drill", "--fault", "coffee on the keyboard")
     assert done.returncode == 2
     assert "policy killed" in done.stderr
+
+
+@pytest.mark.trouble("App-LabRecorder #107: a disk that fills, and nobody notices")
+def test_a_disk_that_fills_ends_the_run_while_there_is_room_to_close_it(tmp_path: Path) -> None:
+    """On a disk of 40 MB, which only this test's processes see."""
+    alone = ["unshare", "--map-root-user", "--mount"]
+    if shutil.which("unshare") is None or subprocess.run([*alone, "true"], capture_output=True, check=False).returncode:
+        pytest.skip("this system doesn't let us have a small disk of our own")
+    disk, config = tmp_path / "recordings", lab_config(tmp_path)
+    disk.mkdir()
+    program = f"{sys.executable} -m bci_app"
+    words = f"calibrate --participant P001 --simulate --speed 20 --config {config}"
+    kept = tmp_path / "kept"
+    script = f"""
+        mount -t tmpfs -o size=40m tmpfs {disk} || exit 77
+        {program} {words} 2> {tmp_path}/said; echo $? > {tmp_path}/code
+        {program} replay {disk}/sub-P001/ses-S001/eeg/*_eeg.xdf --json > {tmp_path}/replay.json; cp -r {disk} {kept}
+    """
+    done = subprocess.run([*alone, "sh", "-c", script], capture_output=True, text=True, timeout=200, check=False)
+    if done.returncode == 77:
+        pytest.skip("this system doesn't let us have a small disk of our own")
+    assert (tmp_path / "code").read_text() == "3\n"
+    assert "MB are left on the disk" in (tmp_path / "said").read_text()
+    sidecar = json.loads(next(kept.rglob("*_eeg.json")).read_text())
+    assert sidecar["state"] == "closed"
+    assert "nothing that was heard is missing" in sidecar["verified"]
+    replayed = json.loads((tmp_path / "replay.json").read_text())
+    assert replayed["replay"]["verdicts"] == replayed["replay"]["verdicts_equal"]
+    assert not list(kept.rglob("reserve"))
