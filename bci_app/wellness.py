@@ -58,6 +58,7 @@ class Wellness:
     is_calibration: bool
     _known: dict[Role, _Known] = field(default_factory=dict)
     _failures: deque[float] = field(default_factory=deque)
+    _tell: set[Role] = field(default_factory=set)  # who tells what they hear: programs of other people needn't
 
     def __post_init__(self) -> None:
         self._known = {role: _Known(spoke_at=float("inf")) for role in self.roles}  # none is late before its first word
@@ -70,6 +71,8 @@ class Wellness:
         known.spoke_at = now
         if status is not None:
             known.status = status
+            if status.hears:
+                self._tell.add(role)
             if status.state != "waiting":  # what it loads and looks for may take a while without a word
                 known.may_be_silent_until = 0.0
 
@@ -116,7 +119,7 @@ class Wellness:
         found = []
         for role in self.roles:
             status = self._known[role].status
-            if status is None:
+            if status is None or role not in self._tell:
                 continue
             found += [
                 f"The {role} has lost {spec.name}."

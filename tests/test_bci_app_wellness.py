@@ -124,3 +124,13 @@ def test_too_many_failures_in_a_minute_are_no_accident(well: Wellness) -> None:
     assert [well.failed("policy", now=20.0 + i, stamp=20.0 + i) for i in range(MOST_FAILURES)] == [True, True, False]
     rare = Wellness(ROLES, is_calibration=False)
     assert all(rare.failed("policy", now=i * (WITHIN_S / 2 + 1), stamp=float(i)) for i in range(10))
+
+
+def test_a_program_of_other_people_that_doesnt_tell_what_it_hears_is_not_taken_for_deaf() -> None:
+    wellness = Wellness(("decoder", "stimulus", "policy"), is_calibration=False)
+    newest: dict[Role, float] = {"decoder": 100.0, "stimulus": 100.0, "policy": 100.0}
+    for role in newest:
+        wellness.take(role, 1.0, said(role), now=1.0)
+    assert wellness.deaf(newest, stale=4.0) == []
+    wellness.take("stimulus", 2.0, said("stimulus", bci_actions=2.0), now=2.0)
+    assert wellness.deaf(newest, stale=4.0) == ["The stimulus has lost bci-actions."]
