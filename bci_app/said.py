@@ -88,6 +88,7 @@ class Memory:
     def __init__(self, session: str) -> None:
         self._session = session
         self._said: list[Said] = []
+        self._is_online = False
 
     def take(self, stamp: float, message: Message) -> None:
         """Keep a message, if a process might have to know it again."""
@@ -95,6 +96,33 @@ class Memory:
             self._said = [said for said in self._said if not is_void(said.message, message)]
         elif isinstance(message, Tellable):
             self._said.append(Said(stamp=stamp, message=message))
+            if isinstance(message, SessionStart):
+                self._is_online = message.task == "online"
+            elif isinstance(message, EpisodeStart) and self._is_online:
+                self._forget_before(message.episode - 1)
+
+    def _forget_before(self, episode: int) -> None:
+        """Of online episodes that are long over nobody must know more than that they were: a run may last all day.
+
+        A calibration's stimulus needs all of its moves, for chance goes on from them.
+        """
+        judged = {place_of(item.message) for item in self._said if isinstance(item.message, Verdict)}
+        decisions = _last_decision(
+            [item for item in self._said if (place_of(item.message) or (episode, 0)) < (episode, 0)]
+        )
+
+        def is_needed(item: Said) -> bool:
+            match item.message:
+                case MoveOnset(episode=number):
+                    return number >= episode or place_of(item.message) not in judged
+                case Verdict(episode=number) | Action(episode=number):
+                    return number >= episode
+                case Electrodes(episode=number):
+                    return number >= episode or item in decisions
+                case _:
+                    return True
+
+        self._said = [item for item in self._said if is_needed(item)]
 
     def recall(self, role: Role) -> Recall:
         """What a process in this role must know."""

@@ -1,5 +1,8 @@
 """What was said: what a process that was started again is told of it, and what nobody remembers is void."""
 
+from hypothesis import given
+from hypothesis import strategies as st
+
 from bci_app.protocol import (
     Action,
     Continued,
@@ -132,3 +135,49 @@ def test_a_console_that_comes_late_is_told_the_outline_and_the_episode_under_way
     decision = Electrodes(session="s", episode=1)
     expected = [opening(), start(0), end(0), start(1), decision, move(1, 1)]
     assert told(memory_of(STORY), "console") == expected
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 6), st.sets(st.integers(1, 6)), st.booleans()), min_size=1, max_size=12),
+    st.integers(0, 3),
+)
+def test_what_is_forgotten_of_a_long_online_run_nobody_is_told(
+    episodes: list[tuple[int, set[int], bool]], unmade: int
+) -> None:
+    """Compared with a calibration, of which nothing is forgotten; moves without a verdict, and a stimulus that died."""
+    said: list[Message] = []
+    for number, (n_moves, unjudged, looked) in enumerate(episodes):
+        said.append(start(number))
+        said += [Electrodes(session="s", episode=number, bad={"Cz": ["flat"]})] if looked else []
+        for step in range(1, n_moves + 1):
+            said += [chosen(number, step), move(number, step)]
+            said += [] if step in unjudged else [verdict(number, step)]
+        said.append(end(number))
+    last = len(episodes) - 1
+    said.append(Continued(session="s", episode=last, step=max(0, episodes[-1][0] - unmade)))
+    online, whole = Memory("s"), Memory("s")
+    online.take(0.0, opening())
+    whole.take(0.0, opening().model_copy(update={"task": "calibration"}))
+    for number, message in enumerate(said):
+        for memory in (online, whole):
+            memory.take(1.0 + number, message)
+    for role in ("decoder", "policy", "console"):
+        assert online.recall(role).said[1:] == whole.recall(role).said[1:]
+    kinds = (EpisodeStart, EpisodeEnd)
+    stimulus = [
+        [item for item in memory.recall("stimulus").said if isinstance(item.message, kinds)]
+        for memory in (online, whole)
+    ]
+    assert stimulus[0] == stimulus[1]
+
+
+def test_of_a_long_online_run_little_is_kept() -> None:
+    memory = Memory("s")
+    memory.take(0.0, opening())
+    for number in range(100):
+        memory.take(number, start(number))
+        for step in range(1, 15):
+            for message in (chosen(number, step), move(number, step), verdict(number, step)):
+                memory.take(number + step / 100, message)
+        memory.take(number + 0.9, end(number))
+    assert len(memory.recall("stimulus").said) < 2 * 100 + 2 * 3 * 14 + 2
