@@ -23,11 +23,11 @@ from bci_app.errors import LinkLost, SetupError
 from bci_app.gridworld import ACTIONS, compile_map
 from bci_app.lsl import local_clock
 from bci_app.moves import cut_moves
+from bci_app.plan import Stage
 from bci_app.progress import Progress, named
 from bci_app.protocol import Action, EpisodeStart, MoveOnset, Role, SessionStart
 from bci_app.recorder import Recorder
 from bci_app.recording import Recording, read
-from bci_app.session import Stage
 
 PARTICIPANT = "DRILL"
 SHORT: dict[str, Any] = {

@@ -8,11 +8,9 @@ import logging
 import secrets
 import signal
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from os import getpid
+from dataclasses import asdict
 from pathlib import Path
-from shutil import disk_usage
-from typing import Any, Literal, NoReturn
+from typing import Any, NoReturn
 
 from bci_app.clock import Clock
 from bci_app.config import Config
@@ -20,9 +18,10 @@ from bci_app.crew import END_TIMEOUT_S, Crew
 from bci_app.errors import LinkLost, SetupError
 from bci_app.heard import Heard, Outcome
 from bci_app.links import Links
-from bci_app.lookout import Look, Lookout, Seen
+from bci_app.lookout import Lookout, Seen
 from bci_app.lsl import LateInlet, MessageInlet, describe, find_eeg, local_clock, session_clock
 from bci_app.peer import Peer
+from bci_app.plan import Plan, Stage, arguments, described, for_session
 from bci_app.progress import Progress
 from bci_app.protocol import (
     ACTIONS_STREAM,
@@ -37,24 +36,18 @@ from bci_app.protocol import (
     Note,
     Returned,
     Role,
-    simulated_source_id,
 )
 from bci_app.recorder import Recorder
-from bci_app.recording import read
-from bci_app.resuming import Stopped
-from bci_app.runs import Run, checksum, reserve, versions, write_sidecar, write_sums
+from bci_app.runs import checksum, reserve, write_sidecar
 from bci_app.supervisor import STREAM_OF, Supervisor
+from bci_app.verifying import verify
+from bci_app.vigil import GROW_TIMEOUT_S, Vigil
 from bci_app.xdf import Follower
 
 READY_TIMEOUT_S = 90.0
 """Real seconds all processes may take to be ready (the slowest loads torch)."""
-GROW_TIMEOUT_S = 2.0
-"""Real seconds after which a file that doesn't grow is not being written: LabRecorder writes twice a second."""
 RECORDED_WITHIN_S = 8.0
 """Real seconds until every stream that speaks has come into a new file: LabRecorder asks for clocks first."""
-DISK_S, DISK_LEAST_S, DISK_LEAST_BYTES = 1.0, 20.0, 4_000_000
-"""Real seconds between two looks at the disk; of recording, and bytes, for which there must be room: until the next
-rest and the file's end it takes less (decided)."""
 HALT_TIMEOUT_S = 10.0
 """Real seconds a move under way may take until the run is stopped without waiting for its end."""
 FIR_CYCLES = 3.3
@@ -70,63 +63,6 @@ LINK_S = 1.0
 """Real seconds between two messages on the same link."""
 TAIL_S = 1.5
 """Real seconds between the last message and closing the file: LabRecorder writes in batches of half a second."""
-Task = Literal["calibration", "online"]
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Everything one run needs to know.
-
-    Attributes
-    ----------
-    run : where its files go.
-    config : resolved configuration.
-    task, map, seed : what the stimulus shows.
-    simulate : whether a simulated participant takes part; only then may `speed` differ from 1.
-    model, policy : files of the decoder and of the policy; None in a calibration.
-    told : what the policy is told of the decoder, as `bci_app.told.Told` in words.
-    remote : roles started by hand on other machines.
-    session : id the remote processes were started with; drawn when there are none.
-    look : how to look at a calibration after each of its blocks.
-    disturb : what a drill does to the run, asked again and again while it lasts.
-    goes_on : from which run that was broken off, if from one.
-    """
-
-    run: Run
-    config: Config
-    task: Task
-    map: str
-    seed: int
-    simulate: bool = False
-    speed: float = 1.0
-    model: Path | None = None
-    policy: Path | None = None
-    told: str | None = None
-    remote: frozenset[Role] = frozenset()
-    session: str | None = None
-    look: Look | None = None
-    disturb: "Disturb | None" = None
-    goes_on: Stopped | None = None
-
-    @property
-    def roles(self) -> tuple[Role, ...]:
-        """The processes that take part."""
-        roles: list[Role] = ["amplifier"] if self.simulate else []
-        roles += ["decoder", "policy", "stimulus"] if self.task == "online" else ["decoder", "stimulus"]
-        return tuple(roles)
-
-
-@dataclass(frozen=True)
-class Stage:
-    """What a drill may lay hands on; there is no recorder before all processes are ready."""
-
-    crew: Crew
-    recorder: Recorder | None
-    heard: Heard
-    supervisor: Supervisor
-
-
-Disturb = Callable[[Stage], None]
 
 
 def conduct(plan: Plan, progress: Progress) -> Outcome:
@@ -138,7 +74,7 @@ def conduct(plan: Plan, progress: Progress) -> Outcome:
     _log_to(plan.run.logs / "session.log")
     clock = session_clock(plan.speed)
     session = plan.session or f"{plan.run.stem.name}-{secrets.token_hex(3)}"
-    config = _for_session(plan, session)
+    config = for_session(plan, session)
     conductor = _Conductor(plan, config, session, clock, progress)
     try:
         conductor.prepare()
@@ -163,17 +99,6 @@ def _log_to(path: Path) -> None:
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
 
 
-def _for_session(plan: Plan, session: str) -> Config:
-    if not plan.simulate:
-        return plan.config
-    eeg = plan.config.eeg.model_copy(
-        update={"stream_type": "EEG", "stream_name": None, "source_id": simulated_source_id(session)}
-    )
-    simulation = plan.config.simulation.model_copy(update={"run": plan.seed})
-    calibration = plan.config.calibration.model_copy(update={"wait_for_key": False})
-    return plan.config.model_copy(update={"eeg": eeg, "calibration": calibration, "simulation": simulation})
-
-
 class _Conductor:
     """One run in progress."""
 
@@ -191,14 +116,13 @@ class _Conductor:
         self.links = Links(session, "session")
         self.linked_at = 0.0
         self.recorder: Recorder | None = None
-        self.sidecar: dict[str, Any] = {}
+        self.vigil: Vigil | None = None
+        self.sidecar: dict[str, object] = {}
         self.follower = Follower(plan.run.xdf)
         self.supervisor = Supervisor(
             plan.roles, plan.remote, self._arguments, self.peer, self.crew, self.heard, self.follower, self._lead_s()
         )
         self.ended_at: float | None = None
-        self.size = 0
-        self.grew_at = self.recorded_at = self.disk_at = 0.0
         before = plan.goes_on.recordings if plan.goes_on else ()
         self.lookout = Lookout(plan.look, [*before, plan.run.xdf], config) if plan.look else None
         self.blocks = 0
@@ -239,21 +163,7 @@ class _Conductor:
         path = self.plan.run.logs / "config.json"
         if not path.exists():
             path.write_text(self.config.model_dump_json(indent=2), encoding="utf-8")
-        arguments = ["--session", self.session, "--config", str(path), "--parent", str(getpid())]
-        arguments += ["--speed", repr(self.clock.speed), "--origin", repr(self.clock.origin)]
-        match role:
-            case "stimulus":
-                arguments += ["--task", self.plan.task, "--map", self.plan.map, "--seed", str(self.plan.seed)]
-                arguments += ["--participant", self.plan.run.participant, "--commanded"]
-                if stopped := self.plan.goes_on:
-                    arguments += ["--from-block", str(stopped.block), "--moves-done", str(stopped.moves_done)]
-                    arguments += ["--from-episode", str(stopped.episode)]
-            case "decoder" if self.plan.model is not None:
-                arguments += ["--model", str(self.plan.model)]
-            case "policy":
-                arguments += ["--map", self.plan.map, "--policy", str(self.plan.policy)]
-                arguments += ["--told", self.plan.told] if self.plan.told else []
-        return arguments
+        return ["--config", str(path), *arguments(self.plan, role, self.session, self.clock)]
 
     def _connect(self) -> None:
         for role in self.plan.roles:
@@ -297,7 +207,7 @@ class _Conductor:
             f"all streams to come into {self.plan.run.xdf}",
             GROW_TIMEOUT_S + RECORDED_WITHIN_S,
         )
-        self.grew_at = self.recorded_at = local_clock()
+        self.vigil = Vigil(recorder, local_clock())
         self._save_sidecar(state="recording", eeg={"name": eeg.name, "sfreq": eeg.sfreq, "channels": eeg.channels})
 
     def _silent_sources(self) -> set[str]:
@@ -391,34 +301,15 @@ class _Conductor:
     def _check(self) -> None:
         """Raise when something the run needs is lost for good, though nobody said so."""
         now = local_clock()
-        if self.recorder is None or not self.recorder.alive:
-            self._halt(f"LabRecorder died; {self.plan.run.xdf} holds what it had written until then.")
         self.follower.look()
-        if self.follower.n_bytes > self.size:
-            self.size, self.grew_at = self.follower.n_bytes, now
-        if self.supervisor.lacks_eeg:
-            self.grew_at = now  # messages alone are written only when many kilobytes have come together
-        if now - self.grew_at > GROW_TIMEOUT_S:
-            self.recorder.kill()  # it hangs, and would hang when it is told to close the file
-            self._halt(
-                f"{self.plan.run.xdf} has stopped growing at {self.size} bytes: the disk is full or LabRecorder hangs."
-            )
-        self._check_disk(now)
+        # Messages alone are written only when many kilobytes have come together.
+        assert self.vigil is not None, "it is watched only once it is recorded"
+        lost = self.vigil.lost(self.follower.n_bytes, now, may_stand=self.supervisor.lacks_eeg)
+        if lost is not None:
+            self._halt(lost)
         if self.heard.rejected_in_a_row >= REJECTED_IN_A_ROW:
             raise LinkLost(
                 f"The last {REJECTED_IN_A_ROW} moves gave no valid epoch ({self.heard.last_reason}). Look at the EEG."
-            )
-
-    def _check_disk(self, now: float) -> None:
-        """End the run while there is still room for what happens until its next rest."""
-        if now - self.disk_at < DISK_S:
-            return
-        self.disk_at = now
-        a_second = self.size / max(1.0, now - self.recorded_at)
-        free = disk_usage(self.plan.run.xdf.parent).free
-        if free < max(DISK_LEAST_BYTES, a_second * DISK_LEAST_S):
-            self._halt(
-                f"Only {free / 1e6:.0f} MB are left on the disk of {self.plan.run.xdf}. Free some; then --resume."
             )
 
     def _halt(self, text: str) -> NoReturn:
@@ -478,29 +369,11 @@ class _Conductor:
         path = self.plan.run.xdf
         if path.exists():
             self.progress("checking the recording", 0, 1)
-            self.verified = self._verify(path)
+            self.verified, self.missing = verify(path, self.heard, self.config.eeg.stream_type)
         told = asdict(self.outcome(), dict_factory=_plain) | {"state": "closed"}
         if not path.exists():
             return told
         return told | {"sha256": checksum(path), "bytes": path.stat().st_size, "missing": self.missing}
-
-    def _verify(self, path: Path) -> str:
-        """Read the closed recording back and compare it with what was heard; the finding in a sentence."""
-        try:
-            recording = read(path, True, self.config.eeg.stream_type)
-            self.missing = self.heard.missing_in(recording)
-        except SetupError as error:
-            self.missing = [str(error)]
-        try:
-            write_sums(path)
-        except SetupError as error:
-            self.missing.append(str(error))
-        if self.missing:
-            return f"The recording isn't what was heard: {' '.join(self.missing)}"
-        return (
-            f"Read back: {self.heard.moves} moves, {self.heard.verdicts.total()} verdicts, {len(recording.times)} EEG "
-            f"samples; nothing that was heard is missing. SHA-256 {checksum(path)}."
-        )
 
     def outcome(self) -> Outcome:
         """How the run went, by what was heard."""
@@ -509,33 +382,9 @@ class _Conductor:
     def _save_sidecar(self, **news: Any) -> None:
         """The sidecar is there from the start, so that even a run that dies tells what it was."""
         if not self.sidecar:
-            plan = self.plan
-            self.sidecar = {
-                "session": self.session,
-                "task": plan.task,
-                "participant": plan.run.participant,
-                "map": plan.map,
-                "seed": plan.seed,
-                "simulated": plan.simulate,
-                "speed": self.clock.speed,
-                "model": _file(plan.model),
-                "policy": _file(plan.policy),
-                "told": plan.told,
-                **(_continuation(plan.goes_on) if plan.goes_on else {}),
-                "config": self.config.model_dump(mode="json"),
-                "versions": versions(),
-            }
+            self.sidecar = described(self.plan, self.config, self.session, self.clock.speed)
         self.sidecar |= news
         write_sidecar(self.plan.run.sidecar, self.sidecar)
-
-
-def _file(path: Path | None) -> dict[str, str] | None:
-    return {"path": str(path), "sha256": checksum(path)} if path else None
-
-
-def _continuation(stopped: Stopped) -> dict[str, Any]:
-    begins = {"block": stopped.block, "moves_done": stopped.moves_done, "episode": stopped.episode}
-    return {"continues": [path.name for path in stopped.recordings], "begins_at": begins}
 
 
 def _plain(items: list[tuple[str, Any]]) -> dict[str, Any]:

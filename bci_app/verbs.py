@@ -15,12 +15,13 @@ from bci_app.gridworld import GridWorld, load_map
 from bci_app.heard import Outcome
 from bci_app.lookout import Look
 from bci_app.lsl import describe, find_eeg
+from bci_app.plan import Disturb, Plan, Task
 from bci_app.progress import Progress
 from bci_app.protocol import Role
 from bci_app.recording import read
 from bci_app.resuming import Stopped, find
 from bci_app.runs import check_label, new_run
-from bci_app.session import Disturb, Plan, Task, conduct
+from bci_app.session import conduct
 from bci_app.set_up import applied
 
 MIN_SPEED = 0.1
