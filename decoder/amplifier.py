@@ -138,6 +138,7 @@ class _Player:
         if n_new <= 0:
             return
         samples = self._participant.render(self._played, n_new)
+        self._participant.forget(self._played)
         if self._dead:
             samples = samples.copy()  # the participant keeps what it has rendered
             samples[:, self._dead] = self._noise.normal(0, INPUT_NOISE_UV, (n_new, len(self._dead)))

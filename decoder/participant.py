@@ -126,6 +126,11 @@ class Person(ABC):
         self._rendered = max(self._rendered, start + n_times)
         return samples.astype(np.float32)
 
+    def forget(self, before: int) -> None:
+        """Answers that end before sample number `before` won't be rendered again: sessions may last all day."""
+        longest = ceil((RESPONSE_S[1] - RESPONSE_S[0]) * self.sfreq) + 1
+        del self._answers[: bisect_left(self._answers, before - longest, key=lambda answer: answer.first)]
+
     def _mixed(self, answer: Answer) -> Array:
         key = id(answer)
         if key not in self._recent:

@@ -183,3 +183,15 @@ def test_a_real_recording_answers_too() -> None:
     recorded = watch(Participant(1, decodability=0.9, background=background), 200)
     assert 1 < recorded[0].std(axis=0).mean() < 200
     assert cross_validate(recorded, 250.0, ChainConfig()).auc.value > 0.7
+
+
+def test_answers_that_are_over_can_be_forgotten() -> None:
+    one, other = (Participant(3, 128.0) for _ in range(2))
+    for number in range(20):
+        onset = 1.0 + 3.0 * number
+        start, n_times = round((onset - 0.5) * 128), 3 * 128
+        assert one.respond(onset, number % 3 == 0)
+        assert other.respond(onset, number % 3 == 0)
+        other.forget(start)
+        np.testing.assert_array_equal(one.render(start, n_times), other.render(start, n_times))
+    assert len(other._answers) <= 2 < len(one._answers)
