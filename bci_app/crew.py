@@ -30,7 +30,11 @@ class Crew:
 
     def start(self, role: Role, arguments: list[str]) -> None:
         """Start a process, also one that ran before; what it logs goes to its own file."""
-        file = (self._logs / f"{role}.log").open("ab")
+        path = self._logs / f"{role}.log"
+        try:
+            file = path.open("ab")
+        except OSError as error:
+            raise LinkLost(f"Can't write {path}: {error.strerror}. Is the folder gone, or the disk full?") from error
         self._files.append(file)
         self._processes[role] = subprocess.Popen(
             [sys.executable, "-m", "bci_app", role, *arguments],

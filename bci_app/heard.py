@@ -13,6 +13,7 @@ from bci_app.protocol import (
     Continued,
     Electrodes,
     EpisodeEnd,
+    EpisodeGoal,
     MoveOnset,
     Note,
     Pause,
@@ -21,6 +22,7 @@ from bci_app.protocol import (
     SessionEnd,
     SessionStart,
     Status,
+    Truth,
     Verdict,
 )
 from bci_app.recording import Recording
@@ -176,8 +178,11 @@ class Heard:
         where = stimulus.text if stimulus else ""
         return f"online, {where}{trouble}", len(self._episodes), self.start.n_episodes or 1
 
-    def missing_in(self, recording: Recording) -> list[str]:
-        """What was heard but is not in the recording, and what is damaged in it, in sentences."""
+    def missing_in(self, recording: Recording, has_truth: bool) -> list[str]:
+        """What was heard but is not in the recording, and what is damaged in it, in sentences.
+
+        Where our own stimulus ran, `has_truth`, each of its moves must have a truth and a marker there.
+        """
         heard: tuple[tuple[str, set[Key], type[MoveOnset | Verdict | Action]], ...] = (
             ("moves", self._moves, MoveOnset),
             ("verdicts", set(self._verdicts), Verdict),
@@ -188,6 +193,19 @@ class Heard:
             missing = keys - {(message.episode, message.step) for _, message in recording.of(kind)}
             if missing:
                 lost.append(f"{len(missing)} of {len(keys)} {name} are not in it.")
+        moves = {(message.episode, message.step): stamp for stamp, message in recording.of(MoveOnset)}
+        if has_truth:
+            truths = {(message.episode, message.step) for _, message in recording.of(Truth)}
+            goals = {message.episode for _, message in recording.of(EpisodeGoal)}
+            marked = {stamp for stamp, _ in recording.markers}
+            without = {
+                "truth": [key for key in moves if key not in truths],
+                "marker": [key for key, stamp in moves.items() if stamp not in marked],
+                "goal": [key for key in moves if key[0] not in goals],
+            }
+            lost += [
+                f"{len(keys)} of {len(moves)} moves have no {what} in it." for what, keys in without.items() if keys
+            ]
         return [*lost, *recording.damage]
 
     def outcome(self, recording: Path, verified: str = "", outlook: tuple[str, ...] = ()) -> Outcome:

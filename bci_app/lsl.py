@@ -58,11 +58,16 @@ class MessageOutlet:
             info.desc().append_child_value("speed", repr(clock.speed))
             info.desc().append_child_value("origin", repr(clock.origin))
         info.desc().append_child_value("process", str(os.getpid()))
-        self._outlet = pylsl.StreamOutlet(info)
+        self._outlet: pylsl.StreamOutlet | None = pylsl.StreamOutlet(info)
 
     def push(self, message: Message, stamp: float) -> None:
-        """Send a message with its session time."""
-        self._outlet.push_sample([encode(message)], stamp)
+        """Send a message with its session time; nobody hears it once it is closed."""
+        if self._outlet is not None:
+            self._outlet.push_sample([encode(message)], stamp)
+
+    def close(self) -> None:
+        """Take it off the network, whoever still holds it."""
+        self._outlet = None
 
 
 class MarkerOutlet:

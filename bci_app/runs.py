@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from hashlib import file_digest
 from importlib.metadata import version
 from itertools import count
+from os import urandom
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -29,7 +30,7 @@ PACKAGES = (
     "torch",
 )
 
-RESERVE_BYTES = 8_000_000
+RESERVE, RESERVE_BYTES = "reserve", 8_000_000
 """Room for what is written after a recording was closed: its checksums take 45 bytes a chunk, 5 MB after two hours."""
 
 
@@ -71,7 +72,7 @@ class Run:
     @property
     def reserve(self) -> Path:
         """A file that only takes room, until the run is closed."""
-        return self.logs / "reserve"
+        return self.logs / RESERVE
 
 
 def check_label(value: str, what: str) -> str:
@@ -97,12 +98,14 @@ def new_run(folder: Path, participant: str, visit: str, task: str) -> Run:
 
 
 def last_run(folder: Path, participant: str, visit: str, task: str) -> Run | None:
-    """The run with the highest number that has a sidecar, if any. Raises SetupError for a bad label."""
+    """The recorded run with the highest number that has a sidecar, if any. Raises SetupError for a bad label."""
     check_label(participant, "--participant")
     check_label(visit, "--visit")
     stem = Run(folder, participant, visit, task, 1).stem
     found = stem.parent.glob(f"{stem.name.removesuffix('001')}*_eeg.json")
-    numbers = [int(path.stem.removesuffix("_eeg").rsplit("-", 1)[-1]) for path in found]
+    # One that was broken off before anything was recorded is nothing to go on with.
+    kept = [path for path in found if path.with_suffix(".xdf").exists()]
+    numbers = [int(path.stem.removesuffix("_eeg").rsplit("-", 1)[-1]) for path in kept]
     return Run(folder, participant, visit, task, max(numbers)) if numbers else None
 
 
@@ -163,7 +166,7 @@ def reserve(run: Run) -> None:
     Raises SetupError where there is none.
     """
     try:
-        run.reserve.write_bytes(bytes(RESERVE_BYTES))
+        run.reserve.write_bytes(urandom(RESERVE_BYTES))  # zeros take no room on a disk that compresses
     except OSError as error:
         run.reserve.unlink(missing_ok=True)
         raise SetupError(f"Can't write {run.reserve}: {error.strerror}. Free some room on the disk.") from error
@@ -211,6 +214,15 @@ def write_sums(recording: Path) -> None:
     if path.exists():
         raise SetupError(f"{path} exists already and is not overwritten. Move it away.")
     _write_whole(path, json.dumps(content, indent=0))
+
+
+def free_reserve(recording: Path) -> None:
+    """Give the room back. Raises SetupError where it can't be."""
+    path = recording.with_name(recording.name.removesuffix("_eeg.xdf") + "_logs") / RESERVE
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise SetupError(f"Can't remove {path}: {error.strerror}. Unlock the folder.") from error
 
 
 @dataclass(frozen=True)

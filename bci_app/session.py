@@ -12,6 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NoReturn
 
+from bci_app.attention import Attention
 from bci_app.clock import Clock
 from bci_app.config import Config
 from bci_app.crew import END_TIMEOUT_S, Crew
@@ -38,7 +39,7 @@ from bci_app.protocol import (
     Role,
 )
 from bci_app.recorder import Recorder
-from bci_app.runs import checksum, reserve, write_sidecar
+from bci_app.runs import checksum, free_reserve, reserve, write_sidecar
 from bci_app.supervisor import STREAM_OF, Supervisor
 from bci_app.verifying import verify
 from bci_app.vigil import GROW_TIMEOUT_S, Vigil
@@ -76,6 +77,7 @@ def conduct(plan: Plan, progress: Progress) -> Outcome:
     session = plan.session or f"{plan.run.stem.name}-{secrets.token_hex(3)}"
     config = for_session(plan, session)
     conductor = _Conductor(plan, config, session, clock, progress)
+    failure: SetupError | LinkLost | None = None
     try:
         conductor.prepare()
         conductor.watch()
@@ -84,9 +86,11 @@ def conduct(plan: Plan, progress: Progress) -> Outcome:
         raise
     except (SetupError, LinkLost) as error:
         conductor.fail(str(error))
-        raise
+        failure = error
     finally:
         conductor.close()
+    if failure is not None:
+        raise type(failure)(f"{failure} {conductor.verified}".strip()) from failure
     if conductor.missing:
         raise LinkLost(f"{plan.run.xdf} is not what was heard while it was recorded: {' '.join(conductor.missing)}")
     return conductor.outcome()
@@ -114,13 +118,22 @@ class _Conductor:
         self.console = LateInlet(CONSOLE, session)
         self.heard = Heard(plan.roles)
         self.links = Links(session, "session")
-        self.linked_at = 0.0
+        self.attention = Attention(local_clock)
+        self.linked_at = self.begun_at = 0.0
         self.recorder: Recorder | None = None
         self.vigil: Vigil | None = None
         self.sidecar: dict[str, object] = {}
         self.follower = Follower(plan.run.xdf)
         self.supervisor = Supervisor(
-            plan.roles, plan.remote, self._arguments, self.peer, self.crew, self.heard, self.follower, self._lead_s()
+            plan.roles,
+            plan.remote,
+            self._arguments,
+            self.peer,
+            self.crew,
+            self.heard,
+            self.follower,
+            self._lead_s(),
+            self.attention,
         )
         self.ended_at: float | None = None
         before = plan.goes_on.recordings if plan.goes_on else ()
@@ -144,6 +157,8 @@ class _Conductor:
 
         The first move's epoch reaches back some seconds, and those must be in the file too, or no replay were exact.
         """
+        for recording in self.plan.goes_on.recordings if self.plan.goes_on else ():
+            free_reserve(recording)
         reserve(self.plan.run)
         self._save_sidecar(state="starting")
         for role in self.plan.roles:
@@ -207,7 +222,7 @@ class _Conductor:
             f"all streams to come into {self.plan.run.xdf}",
             GROW_TIMEOUT_S + RECORDED_WITHIN_S,
         )
-        self.vigil = Vigil(recorder, local_clock())
+        self.vigil = Vigil(recorder, self.attention.now())
         self._save_sidecar(state="recording", eeg={"name": eeg.name, "sfreq": eeg.sfreq, "channels": eeg.channels})
 
     def _silent_sources(self) -> set[str]:
@@ -230,6 +245,7 @@ class _Conductor:
             self._look_ahead()
             what, done, total = self.heard.progress()
             what += f", {self.seen[-1].short}" if self.seen and self.seen[-1].short else ""
+            what = f"{what}; {self.supervisor.waits_for}" if self.supervisor.waits_for else what
             what += f", silent: {' '.join(self.links.silent)}" if self.links.silent else ""
             self.progress(what, done, total)
 
@@ -241,20 +257,21 @@ class _Conductor:
         end = self.heard.end
         if end is None:
             return False
-        self.ended_at = self.ended_at or local_clock()
+        now = self.attention.now()
+        self.ended_at = max(self.ended_at or now, self.supervisor.mended_at)
         if end.reason != "complete" or self.heard.all_judged():
             return True
-        if local_clock() - self.ended_at > END_TIMEOUT_S:
+        if now - self.ended_at > END_TIMEOUT_S:
             raise LinkLost(f"Waited {END_TIMEOUT_S:g} s in vain for the last verdict: {self.heard.whereabouts()}")
         return False
 
     def _listen(self, timeout: float) -> None:
         for number, (role, inlet) in enumerate(self.inlets.items()):
             for item in self.peer.hear(inlet, timeout if number == len(self.inlets) - 1 else 0.0):
-                self.links.take(inlet.name, item.arrived)
+                self.links.take(inlet.name, self.attention.now())
                 self.supervisor.take(role, item)
                 self.heard.take(item.message)
-        self._tell_links(local_clock())
+        self._tell_links(self.attention.now())
 
     def _tell_links(self, now: float) -> None:
         for sentence in self.links.changes(now):
@@ -300,7 +317,7 @@ class _Conductor:
 
     def _check(self) -> None:
         """Raise when something the run needs is lost for good, though nobody said so."""
-        now = local_clock()
+        now = self.attention.now()
         self.follower.look()
         # Messages alone are written only when many kilobytes have come together.
         assert self.vigil is not None, "it is watched only once it is recorded"
@@ -349,8 +366,8 @@ class _Conductor:
         """Let the recorder have the tail, close the file, end the processes, and write down how it ended."""
         # All of this is bounded in time; a second Ctrl-C would only leave a recording without its end.
         handlers = {number: signal.signal(number, signal.SIG_IGN) for number in ENDINGS}
-        self.plan.run.reserve.unlink(missing_ok=True)
         try:
+            free_reserve(self.plan.run.xdf)
             if self.recorder is not None and self.recorder.alive:
                 self.peer.rest(TAIL_S)
                 self.progress("closing the recording", 0, 1)
@@ -361,7 +378,11 @@ class _Conductor:
             self.console.close()
             self.inlets.clear()
             self.crew.end()
-            self._save_sidecar(**self._closing())
+            try:
+                self._save_sidecar(**self._closing())
+            except SetupError as error:  # the recording itself may be whole, and why the run ended matters more
+                self.missing.append(str(error))
+            self.peer.close()
             for number, handler in handlers.items():
                 signal.signal(number, handler)
 
@@ -369,7 +390,9 @@ class _Conductor:
         path = self.plan.run.xdf
         if path.exists():
             self.progress("checking the recording", 0, 1)
-            self.verified, self.missing = verify(path, self.heard, self.config.eeg.stream_type)
+            self.verified, self.missing = verify(
+                path, self.heard, self.config.eeg.stream_type, "stimulus" not in self.plan.remote
+            )
         told = asdict(self.outcome(), dict_factory=_plain) | {"state": "closed"}
         if not path.exists():
             return told

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import Literal
 
+from bci_app.attention import Attention
 from bci_app.clock import Clock
 from bci_app.crew import Crew
 from bci_app.errors import LinkLost
@@ -39,6 +40,8 @@ DEAF_S = 4.0
 SETTLE_S = 4.0
 """Real seconds after a process was started again before the first message until the run begins: the recorder reconnects
 to streams on which nothing is said yet in two (decided)."""
+UNRECORDED_S = 60.0
+"""Real seconds the recorder may take to find a stream again that is back (decided: LSL reconnects in two)."""
 AGAIN_S = 0.5
 """Real seconds after which a command that had no effect yet is said again."""
 
@@ -54,6 +57,7 @@ class Supervisor:
     peer : says what is wrong, and commands the stimulus.
     follower : tells which streams come into the recording.
     lead_s : real seconds of EEG that must be recorded, without a gap, when the stimulus goes on.
+    attention : how long bci-app has listened by now: what it didn't hear while it was stopped is nobody's silence.
     """
 
     def __init__(
@@ -66,11 +70,12 @@ class Supervisor:
         heard: Heard,
         follower: Follower,
         lead_s: float,
+        attention: Attention,
     ) -> None:
         self._roles, self._remote, self._arguments = roles, remote, arguments
         self._peer, self._crew, self._heard, self._follower = peer, crew, heard, follower
         self._clock: Clock = peer.clock
-        self._lead_s = lead_s
+        self._lead_s, self._attention = lead_s, attention
         self.eeg_source = ""
         """Source id of the EEG, once it is known."""
         self._n_eeg = 0  # chunks of it in the file,
@@ -82,7 +87,9 @@ class Supervisor:
         self._returned: dict[Role, float] = {}  # stamps at which processes asked what they had missed
         self._awaited: dict[str, int] = {}  # by source id: chunks that must be in the file; -1 where not known yet
         self._commanded_at = 0.0
-        self._mended_at = float("-inf")
+        self.mended_at = float("-inf")
+        """When a process was last started again, as bci-app listens."""
+        self._unrecorded_since: float | None = None
         self._is_waited_for = False
         self.waits_for: str | None = None
         """Why the stimulus must wait, in a sentence; None while it needn't."""
@@ -98,14 +105,14 @@ class Supervisor:
         """Take in a message of a process."""
         message = item.message
         self._newest[role] = item.stamp
-        self._wellness.take(role, item.stamp, message if isinstance(message, Status) else None, local_clock())
+        self._wellness.take(role, item.stamp, message if isinstance(message, Status) else None, self._attention.now())
         self.memory.take(item.stamp, message)
         if isinstance(message, Returned):
             self._returned.setdefault(message.role, item.stamp)
 
     def tend(self) -> None:
         """Do what is to be done now. Raises SetupError or LinkLost for what can't be mended."""
-        now = local_clock()
+        now = self._attention.now()
         self._follow_eeg(now)
         self._follow_messages()
         for role, how in self._failures(now).items():
@@ -130,7 +137,7 @@ class Supervisor:
 
         Who is silent here may be loading.
         """
-        now = local_clock()
+        now = self._attention.now()
         for role, how in self._crew.check(may_be_mended=not self._remote).items():
             self._start_again(role, how, now)
         if self.eeg_source:
@@ -140,7 +147,7 @@ class Supervisor:
     @property
     def may_begin(self) -> bool:
         """Whether all are ready, and what they say is recorded, some time after the last was started again."""
-        is_settled = local_clock() - self._mended_at > SETTLE_S
+        is_settled = self._attention.now() - self.mended_at > SETTLE_S
         return (
             is_settled
             and self._heard.all_ready()
@@ -167,7 +174,7 @@ class Supervisor:
         self._note("error", f"{how} It is started again.")
         self._heard.forget(role)
         self._returned.pop(role, None)
-        has_begun, self._mended_at = self._heard.start is not None, now
+        has_begun, self.mended_at = self._heard.start is not None, now
         if self.eeg_source:
             # Before the first message nothing is said but on the streams of events.
             specs = [spec for spec in STREAMS if spec.role == role and (has_begun or spec.kind == "Events")]
@@ -185,7 +192,9 @@ class Supervisor:
             is_all_here = all(self._newest.get(other, stamp) > stamp for other in others)
             # Its answer to what it is told must reach everybody, and the recording.
             is_recorded = STREAM_OF[role].source_id(self._peer.session) not in self._awaited
-            if is_all_here and self._wellness.hear_again(role) and is_recorded:
+            # Once the run has ended the others only wait to be ended, and hear nobody.
+            is_heard = self._heard.end is not None or self._wellness.hear_again(role)
+            if is_all_here and is_heard and is_recorded:
                 self._peer.push(self.memory.recall(role))
                 del self._returned[role]
 
@@ -203,7 +212,7 @@ class Supervisor:
         if troubles:
             self._is_waited_for = True
         elif self._is_waited_for and not self._heard.is_paused:
-            self._is_waited_for, self.went_on_at = False, now
+            self._is_waited_for, self.went_on_at = False, local_clock()
         is_to_go_on = self._heard.is_paused and not self._heard.is_paused_by_person
         if (troubles or is_to_go_on) and now - self._commanded_at > AGAIN_S:
             self._commanded_at = now
@@ -222,6 +231,13 @@ class Supervisor:
     def _unrecorded(self) -> list[str]:
         """What the recording lacks, in sentences."""
         names = [source.rsplit("/")[-1] for source in self._awaited] + (["the EEG"] if self._is_eeg_short else [])
+        now = self._attention.now()
+        if not names or self.lacks_eeg:
+            self._unrecorded_since = None
+        elif self._unrecorded_since is None:
+            self._unrecorded_since = now
+        elif now - self._unrecorded_since > UNRECORDED_S:
+            raise LinkLost(f"The recorder hasn't found {', '.join(names)} again for {UNRECORDED_S:g} s.")
         return [f"The recorder doesn't hear {name} yet." for name in names]
 
     def _note(self, level: Literal["warning", "error"], text: str) -> None:

@@ -8,14 +8,14 @@ from bci_app.recording import read
 from bci_app.runs import checksum, write_sums
 
 
-def verify(path: Path, heard: Heard, eeg_type: str) -> tuple[str, list[str]]:
+def verify(path: Path, heard: Heard, eeg_type: str, has_truth: bool) -> tuple[str, list[str]]:
     """The finding in a sentence, and what is missing or damaged, a sentence each; writes the checksums of its chunks.
 
-    ``eeg_type`` is the LSL type of its EEG stream.
+    ``eeg_type`` is the LSL type of its EEG stream, ``has_truth`` whether our own stimulus ran.
     """
     try:
         recording = read(path, True, eeg_type)
-        missing = heard.missing_in(recording)
+        missing = heard.missing_in(recording, has_truth)
     except SetupError as error:
         recording, missing = None, [str(error)]
     try:

@@ -291,7 +291,7 @@ class _Server:
         rejected."""
         now, reception = local_clock(), self._reception
         is_due = now - self._linked_at >= LINK_S
-        if is_due and reception.lacks is None:  # one that is away can't be asked
+        if is_due and not reception.is_silent:  # after a silence too: its computer may have been started anew
             self._eeg_offset = self._eeg.clock_correction()
         for level, text in reception.take(times, now, self._peer.clock.to_session(now - self._eeg_offset)):
             self._peer.note(level, text)

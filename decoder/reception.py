@@ -27,6 +27,11 @@ that was set or drifts, or a network that holds them back, and an epoch could be
 third of an ErrP)."""
 SLOW_S = 1.0
 """The same in a simulation that runs faster than time: the computer that plays the amplifier may fall behind."""
+LEARN_S = 10.0
+"""Real seconds in which it is learnt how late samples come: this computer is busy in the first (decided)."""
+OTHER_S = 0.5
+"""Real seconds by which a stream that was away may come later or earlier from then on, over another link say; more is a
+clock that was set (decided)."""
 DELAY_S = 2.0
 """Real seconds of which the promptest sample tells how late they come: computers pause for less (decided)."""
 LINK_S = 1.0
@@ -61,7 +66,10 @@ class Reception:
         self._is_short = False  # of samples before the next move
         self._was_away = False  # and must be asked what it is before it counts again
         self._delays: deque[tuple[float, float]] = deque()  # of the last seconds: when it came, and how late, session s
-        self._usual: float | None = None  # how late they come, session seconds
+        self._usual: float | None = None  # how late they come, session seconds,
+        self._learning_since = np.inf  # and since when that is learnt
+        self._is_other_link = False
+        self._moved_since: float | None = None
         self._drift = ClockDrift()
         self._has_drifted = False
         self.moved_s = 0.0
@@ -114,7 +122,8 @@ class Reception:
         if self.quiet_s > self._patience_s:
             raise LinkLost(f"No EEG sample for {self.quiet_s:.0f} s. Look at the amplifier; what was recorded is kept.")
         if n_new and self.is_silent:
-            self.is_silent, self._was_away = False, True
+            self.is_silent, self._was_away, self._is_other_link = False, True, True
+            self._delays.clear()
             self.n_reconnects += 1
             return [("info", f"The EEG is back after {before:.1f} s.")]
         if not self.is_silent and self.quiet_s > SILENCE_S:
@@ -141,28 +150,45 @@ class Reception:
         if now - self._delays[0][0] < DELAY_S / 2:
             return []
         delay = min(late for _, late in self._delays)
-        self._usual = delay if self._usual is None else self._usual
+        remarks: list[Remark] = []
+        if self._is_other_link and self._usual is not None:
+            later = delay - self._usual - self.behind_s(now)
+            self._is_other_link = False
+            if MOVED_S * self._speed < abs(later) < OTHER_S * self._speed:
+                self._usual += later
+                how = "later" if later > 0 else "earlier"
+                text = f"Since it is back the EEG comes {abs(later):.3f} s {how} than before."
+                remarks.append(("warning", f"{text} That is taken for the link's doing, not the clock's."))
+        if self._usual is None:
+            self._usual, self._learning_since = delay, now
+        elif now - self._learning_since < LEARN_S and self._usual - delay < OTHER_S * self._speed:
+            self._usual = min(self._usual, delay)
         if self._speed <= 1 and not self.moved_s:
             self._drift.take(now, delay)
         later, had_moved = delay - self._usual - self.behind_s(now), bool(self.moved_s)
         self.moved_s = later if abs(later) > self._most_moved_s else 0.0
         if self.moved_s and not had_moved:
-            self._is_short = True
-            return [
-                (
-                    "error",
-                    f"The EEG's time stamps have moved: its samples come {later:+.3f} s later after them than in the "
-                    "beginning, so no move can be judged. Restart the amplifier's connector if it lasts.",
-                )
-            ]
+            self._is_short, self._moved_since = True, now
+            how = "later" if later > 0 else "earlier"
+            text = (
+                f"The EEG's time stamps have moved: its samples come {abs(later):.3f} s {how} after them than before."
+            )
+            remarks.append(
+                ("error", f"{text} No move can be judged until the amplifier's clock, or network, is right.")
+            )
+        elif self._moved_since is not None and self.moved_s and now - self._moved_since > self._patience_s:
+            raise LinkLost(
+                f"The EEG's time stamps have been {abs(later):.3f} s off for {now - self._moved_since:.0f} s. End the "
+                "run, restart the amplifier's connector, and go on with --resume; what was recorded is kept."
+            )
         if had_moved and not self.moved_s:
-            return [("info", "The EEG's time stamps are right again.")]
+            remarks.append(("info", "The EEG's time stamps are right again."))
         if self._drift.ppm and not self._has_drifted:
             self._has_drifted = True
             slow = "slow" if self._drift.ppm > 0 else "fast"
             text = f"The amplifier's clock is {abs(self._drift.ppm):.0f} ppm {slow}. Moves are placed by it."
-            return [("warning", text)]
-        return []
+            remarks.append(("warning", text))
+        return remarks
 
     def behind_s(self, now: float) -> float:
         """Seconds by which the amplifier's clock has fallen behind since the beginning, by its drift."""

@@ -74,6 +74,10 @@ def relive(course: Course, said: Iterable[Said]) -> Recollection:
                 found.by_person = pause.by_person
             case Resume():
                 found.by_person = False
+            case Command(command="pause", by_person=True):
+                found.by_person = True  # it may not have come into effect yet
+            case Command(command="resume", by_person=True):
+                found.by_person = False
             case Command(command="finish"):
                 course.is_enough = True
             case SessionEnd():

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from bci_app.errors import SetupError
-from bci_app.recording import read
+from bci_app.protocol import Action, Recall, Said, SessionStart
+from bci_app.recording import Stamped, _retold, read
 
 
 @pytest.mark.parametrize(
@@ -48,3 +49,15 @@ def test_a_cut_recording_is_said_to_be_cut(data: Path, tmp_path: Path) -> None:
         file.truncate(whole.stat().st_size // 2)
     with pytest.raises(SetupError, match="damaged"):
         read(cut)
+
+
+def test_what_only_a_recall_kept_is_read_as_said() -> None:
+    """A policy that is killed right after an action: the stimulus has it, the recorder hasn't."""
+    action = Action.model_validate(
+        {"session": "s", "episode": 0, "step": 1, "action": "east", "probabilities": (0, 0, 0, 1), "verdict": "missing"}
+    )
+    start = SessionStart(session="s", task="online", participant="P", map="open", layout=["..."])
+    told = Recall(session="s", role="policy", said=(Said(stamp=1.0, message=start), Said(stamp=2.0, message=action)))
+    found = [Stamped(1.0, start), Stamped(3.0, told), Stamped(3.5, told)]
+    assert _retold(found) == [Stamped(2.0, action)]
+    assert _retold([*found, Stamped(2.0, action)]) == []

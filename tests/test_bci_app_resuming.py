@@ -77,7 +77,7 @@ def test_what_cannot_be_gone_on_with_is_said(tmp_path: Path) -> None:
         find(config, "P1", "S001", "calibration")
     run = new_run(tmp_path, "P1", "S001", "calibration")
     write_sidecar(run.sidecar, {"state": "starting", "config": config.model_dump(mode="json")})
-    with pytest.raises(SetupError, match="was never recorded"):
+    with pytest.raises(SetupError, match="no calibration run of participant P1"):  # it ended before it was recorded
         find(config, "P1", "S001", "calibration")
 
 

@@ -76,12 +76,13 @@ def test_a_process_that_was_stopped_has_heard_no_silence() -> None:
 @given(off=st.one_of(st.floats(0.2, 300_000.0), st.floats(-300_000.0, -0.2)))
 def test_stamps_that_leave_the_clock_are_told_and_waited_for(off: float) -> None:
     reception = made()
-    play(reception, 0.0, 5.0)
-    (told,) = play(reception, 5.0, DELAY_S + 1.0, off)
+    play(reception, 0.0, 12.0)
+    (told,) = play(reception, 12.0, DELAY_S + 1.0, off)
     assert "time stamps have moved" in told
+    assert ("earlier" if off > 0 else "later") in told
     assert reception.moved_s == pytest.approx(-off, rel=1e-6, abs=1e-3)
     assert reception.lacks == "for the time stamps of 'Amp' to come right"
-    assert play(reception, 8.0, 4.0) == ["The EEG's time stamps are right again."]
+    assert play(reception, 15.0, 4.0) == ["The EEG's time stamps are right again."]
     assert reception.lacks is None
 
 
@@ -89,9 +90,36 @@ def test_stamps_that_leave_the_clock_are_told_and_waited_for(off: float) -> None
 @given(late=st.floats(0.0, 0.9 * MOVED_S))
 def test_samples_that_come_a_little_later_are_no_matter(late: float) -> None:
     reception = made()
-    play(reception, 0.0, 5.0)
-    assert play(reception, 5.0, 5.0, late=0.04 + late) == []
+    play(reception, 0.0, 12.0)
+    assert play(reception, 12.0, 5.0, late=0.04 + late) == []
     assert reception.lacks is None
+
+
+def test_samples_that_come_late_only_while_the_computer_is_busy_at_first_are_no_matter() -> None:
+    reception = made()
+    assert play(reception, 0.0, 3.0, late=0.3) == []
+    assert play(reception, 3.0, 20.0) == []
+    assert reception.lacks is None
+
+
+@pytest.mark.parametrize(("late", "says"), [(0.04, None), (0.25, "later than before"), (0.9, "time stamps have moved")])
+def test_a_stream_that_was_away_may_come_over_another_link(late: float, says: str | None) -> None:
+    reception = made()
+    play(reception, 0.0, 12.0, late=0.06)
+    silence(reception, 12.1, 3.0)
+    told = play(reception, 15.1, 6.0, late=late)
+    reception.is_what_it_was()
+    play(reception, 21.1, 0.1, late=late)
+    assert "is back" in told[0]
+    assert (says in told[1]) if says else told[1:] == []
+    assert (reception.lacks is None) == (late < 0.5)
+
+
+def test_stamps_that_stay_off_end_the_run() -> None:
+    reception = made()
+    play(reception, 0.0, 12.0)
+    with pytest.raises(LinkLost, match="--resume"):
+        play(reception, 12.0, 65.0, off=-20.0)
 
 
 def test_a_clock_that_drifts_is_told_and_moves_are_placed_by_it() -> None:
