@@ -39,6 +39,8 @@ PATIENCE_S = 4.0
 policy waits no longer than 5 s for a verdict (decided)."""
 REJECTED_BEFORE_A_LOOK = 2
 """Verdicts rejected in a row after which the electrodes are looked at again within an episode (decided)."""
+DECISIONS = 20
+"""Decisions on the electrodes that are kept: those of moves that a stimulus which died may make again."""
 FIND_S = 20.0
 """Real seconds an EEG stream may take to be found (decided)."""
 LOST_S = 10.0
@@ -248,7 +250,7 @@ class _Server:
         return self._decisions[-1] if self._decisions else None
 
     def _decide(self, electrodes: Electrodes) -> None:
-        self._decisions.append(electrodes)
+        self._decisions = [*self._decisions[-DECISIONS:], electrodes]
         self._judge = self._judge.with_bad(electrodes.bad)
 
     def _expect(self, key: MoveKey, onset: float, offset: float) -> None:
