@@ -50,14 +50,15 @@ class Recorder:
         try:
             self._launch()
         except LinkLost:
-            if self._process is None or UNMATCHED not in self._said:
+            missed = UNMATCHED in self._said
+            self._discard()
+            if not missed:
                 raise
-            # The session hasn't begun, so what is in the file is nobody's recording.
-            self.kill()
-            self._process.wait()
-            self.path.unlink(missing_ok=True)
-            self._said = ""
-            self._launch()
+            try:
+                self._launch()
+            except LinkLost:
+                self._discard()
+                raise
 
     def _launch(self) -> None:
         program = LabRecorder()._labrecorder_cli_path
@@ -79,6 +80,14 @@ class Recorder:
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, INTERRUPTS)
         threading.Thread(target=self._listen, args=(self._process,), daemon=True).start()
         self._await_all()
+
+    def _discard(self) -> None:
+        """End a recording that didn't begin: the session hasn't either, so what is in the file is nobody's."""
+        assert self._process is not None
+        self._process.kill()
+        self._process.wait()
+        self.path.unlink(missing_ok=True)
+        self._said = ""
 
     def _await_all(self) -> None:
         n_streams = len(self._queries)

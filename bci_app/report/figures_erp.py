@@ -37,6 +37,7 @@ def potential(tables: Tables, source: str) -> Drawn | None:
             upper.plot(time, mean, label=f"{condition} (n = {n})", **CONDITIONS[condition])
             for sign in (-1, 1):
                 upper.plot(time, mean + sign * sd, color=CONDITIONS[condition]["color"], linestyle=":", linewidth=0.8)
+        upper.plot([], [], color=BLACK, linestyle=":", linewidth=0.8, label="± 1 SD")
         wave = those(rows, condition="difference")
         time, mean, low, high = _columns(wave, "time_ms", "mean_uv", "low_uv", "high_uv")
         lower.plot(time, mean, label="error less correct", **CONDITIONS["difference"])
@@ -45,6 +46,7 @@ def potential(tables: Tables, source: str) -> Drawn | None:
         _mark(lower, peaks)
         clusters = those(tables.get("erp_clusters", []), source=source, participant=person, channel=channel)
         _significant(lower, those(clusters, comparison="error - correct, all"))
+        lower.plot([], [], color="0.4", linewidth=4, solid_capstyle="butt", label="differ, p < 0.05")
         for axes in (upper, lower):
             _zero(axes)
             axes.set_ylabel(f"{channel} (µV)")
@@ -71,7 +73,7 @@ def _mark(axes: Axes, peaks: Sequence[Row]) -> None:
         axes.annotate(
             text,
             (peak["time_ms"], peak["mean_uv"]),
-            xytext=(0, 7 if above else -7),
+            xytext=(0, 12 if above else -12),
             textcoords="offset points",
             ha="center",
             va="bottom" if above else "top",
@@ -155,7 +157,7 @@ def by_area(tables: Tables, source: str) -> Drawn | None:
                 axes.plot(time, mean, **CONDITIONS[condition])
                 axes.fill_between(time, low, high, color=CONDITIONS[condition]["color"], alpha=0.15, linewidth=0)
             _shade(axes, those(clusters, comparison=f"error - correct, {name}"))
-            axes.set_title(f"{name} area")
+            axes.set_title(f"{name} area{_counted(those(rows, area=name))}")
         for name in names:
             wave = those(rows, area=name, condition="difference")
             time, mean, low, high = _columns(wave, "time_ms", "mean_uv", "low_uv", "high_uv")
@@ -191,6 +193,13 @@ def by_area(tables: Tables, source: str) -> Drawn | None:
 
 
 SHADE = "#C9E4D6"  # green as in the paper, light enough for all lines on it
+
+
+def _counted(rows: Sequence[Row]) -> str:
+    """How many error and correct moves, or participants, a panel's means are of."""
+    n = {name: those(list(rows), condition=name)[0]["n"] for name in ("error", "correct")}
+    several = rows[0]["participant"] == "all"
+    return f", {n['error']} participants" if several else f", n = {n['error']} and {n['correct']}"
 
 
 def _shade(axes: Axes, clusters: Sequence[Row]) -> None:
