@@ -155,7 +155,7 @@ def online(
     model: Annotated[Path | None, typer.Option("--model", help="Decoder; default: the participant's newest.")] = None,
     policy: Annotated[
         str | None,
-        typer.Option("--policy", help="told, accuracy, none, a file, or 0.75 ...; default: what suits the decoder."),
+        typer.Option("--policy", help="told, accuracy, none, 0.75 ..., or a file; default: what suits the decoder."),
     ] = None,
     below_gate: Annotated[
         bool, typer.Option("--below-gate", help="Run although the decoder's accuracy is below the gate.")
