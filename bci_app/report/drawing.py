@@ -24,7 +24,7 @@ CONDITIONS: dict[str, dict[str, Any]] = {
 }
 AREA_LOOKS: dict[str, dict[str, Any]] = {
     "central": {"color": GREEN, "marker": "o"},
-    "edge": {"color": PURPLE, "marker": "s"},
+    "edge": {"color": ORANGE, "marker": "s"},
 }
 _SOURCES = (
     {"color": BLUE, "marker": "o"},
