@@ -25,7 +25,10 @@ HERE = Path(__file__).parent
 FOLDER = HERE / "pictures"
 DESKTOP, PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
 PATIENCE_MS = 1_200_000
-LATE = "what.textContent.includes('obstacles') && +n_episodes.textContent >= 8 && / move ([7-9]|1.) /.test(where.textContent)"
+LATE = (
+    "what.textContent.includes('obstacles') && +n_episodes.textContent >= 8"
+    " && / move ([7-9]|1.) /.test(where.textContent)"
+)
 """A moment of the run with something to show: names are the page's elements."""
 FIGURES = ("erp_calibration", "verdicts_decisions")
 

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from browsing import CHROMIUM, chromium, complaints
 from recorded_by_hand import BETWEEN_S, Wish, messages, recording, without, write
 from typer.testing import CliRunner
 
@@ -239,6 +240,19 @@ def test_letters_stand_out_in_light_and_dark(page: tuple[str, Page]) -> None:
             for letters in ("ink", "quiet", "link"):
                 light, dark = sorted((luminance(colours[ground]), luminance(colours[letters])), reverse=True)
                 assert (light + 0.05) / (dark + 0.05) >= 7 - (ground == "band"), (ground, letters)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+def test_a_browser_finds_nothing_that_keeps_anybody_from_reading_it(made: Any) -> None:
+    address = Path(made["report"]).as_uri()
+    with chromium() as browser:
+        page = browser.new_page()
+        for width, scheme in ((1280, "light"), (390, "dark")):
+            page.set_viewport_size({"width": width, "height": 844})
+            page.emulate_media(color_scheme=scheme)
+            page.goto(address)
+            assert complaints(page) == []
+            assert page.evaluate("document.documentElement.scrollWidth") == width
 
 
 def test_figures_are_there_for_publication(made: Any) -> None:
