@@ -237,7 +237,7 @@ def in_a_row(tables: Tables) -> Drawn | None:
         axes.axhline(0, color=GREY, linewidth=0.8)
         labels = [f"{row['errors_in_a_row']}\nn = {row['n']}" for row in rows]
         axes.set_xticks(level, labels)
-        axes.set(xlabel="errors in a row", ylabel=f"positive less negative peak,\n{rows[0]['channel']} (µV)")
+        axes.set(xlabel="errors in a row", ylabel=f"{rows[0]['channel']}: positive less\nnegative peak (µV)")
         axes.legend(loc="best")
     trend = those(tables.get("errors_in_a_row_trend", []), source=source, participant=person)
     slope = "".join(
