@@ -17,19 +17,17 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from PIL import Image
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Locator, Page, expect, sync_playwright
 
 HERE = Path(__file__).parent
 FOLDER = HERE / "pictures"
 DESKTOP, PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
 PATIENCE_MS = 1_200_000
-LATE = (
-    "what.textContent.includes('obstacles') && +n_episodes.textContent >= 8"
-    " && / move ([7-9]|1.) /.test(where.textContent)"
-)
-"""A moment of the run with something to show: names are the page's elements."""
+LATE = {"what": r"obstacles", "n_episodes": r"^([89]|1\d)$", "where": r"move ([7-9]|1\d)\b"}
+"""A moment of the run with something to show: what the page's elements say then."""
 FIGURES = ("erp_calibration", "verdicts_decisions")
 
 
@@ -65,7 +63,8 @@ def console(browser: Browser, address: str) -> None:
         pages[name] = browser.new_page(viewport=size, color_scheme=scheme)
         pages[name].goto(address)
     for name, page in pages.items():
-        page.wait_for_function(LATE, timeout=PATIENCE_MS)
+        for element, says in LATE.items():
+            expect(page.locator(f"#{element}")).to_contain_text(re.compile(says), timeout=PATIENCE_MS)
         shoot(page, f"console_{name}", **({"full_page": True} if name == "phone" else {}))
 
 
@@ -84,7 +83,7 @@ def report(browser: Browser, recordings: Path) -> None:
             shoot(page.locator(f"#figure-{name} + figure img"), name)
 
 
-def shoot(what: Page, name: str, **how: object) -> None:
+def shoot(what: Page | Locator, name: str, **how: Any) -> None:
     """A picture as PNG of 256 colours, which is as good for a page and a third of the size."""
     path = FOLDER / f"{name}.png"
     what.screenshot(path=path, **how)

@@ -253,7 +253,7 @@ def latencies(tables: Tables) -> Drawn | None:
 
 
 def _latency_marks() -> list[Line2D]:
-    looks_of = {
+    looks_of: dict[str, dict[str, Any]] = {
         "median": {"marker": "o", "linestyle": "none"},
         "to the 95th percentile": {"linewidth": 5, "alpha": 0.5, "solid_capstyle": "butt"},
         "99th percentile": {"marker": "|", "markersize": 8, "linestyle": "none"},
