@@ -17,7 +17,6 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from PIL import Image
 from playwright.sync_api import Browser, Locator, Page, expect, sync_playwright
@@ -65,7 +64,7 @@ def console(browser: Browser, address: str) -> None:
     for name, page in pages.items():
         for element, says in LATE.items():
             expect(page.locator(f"#{element}")).to_contain_text(re.compile(says), timeout=PATIENCE_MS)
-        shoot(page, f"console_{name}", **({"full_page": True} if name == "phone" else {}))
+        shoot(page, f"console_{name}")
 
 
 def report(browser: Browser, recordings: Path) -> None:
@@ -83,10 +82,10 @@ def report(browser: Browser, recordings: Path) -> None:
             shoot(page.locator(f"#figure-{name} + figure img"), name)
 
 
-def shoot(what: Page | Locator, name: str, **how: Any) -> None:
+def shoot(what: Page | Locator, name: str) -> None:
     """A picture as PNG of 256 colours, which is as good for a page and a third of the size."""
     path = FOLDER / f"{name}.png"
-    what.screenshot(path=path, **how)
+    what.screenshot(path=path)
     with Image.open(path) as picture:
         small = picture.convert("RGB").quantize(256, dither=Image.Dither.NONE)
     small.save(path, optimize=True)

@@ -396,7 +396,7 @@ def test_what_went_wrong_is_told(whole: list[Recording]) -> None:
         "restart: The policy was started again.",
         "restart: The stimulus went on after step 2 of episode 1.",
         "late frame: 2 frames came late, 1 of them with a jump; the worst by 17.0 ms.",
-        "link: Stream Amp: samples were missing 2 times, it was away 1 times.",
+        "link: Stream Amp: gaps in its samples 2, times it was away 1.",
         "gap: The EEG has 1 gaps of a second or more, 4.0 s together.",
         "end: The recording has no end",
         "damage: 3 verdicts are missing.",

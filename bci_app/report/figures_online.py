@@ -12,7 +12,7 @@ from matplotlib.patches import Rectangle
 
 from bci_app.gridworld import FREE
 from bci_app.report import Row, Tables, distinct, those
-from bci_app.report.drawing import AREA_LOOKS, LOOK, Drawn, looks, percent
+from bci_app.report.drawing import AREA_LOOKS, FEWEST_FOR_A_BAND, LOOK, Drawn, looks, percent
 from bci_app.report.figures_erp import head_map
 from bci_app.report.steps import BORDER, area_of, way
 from decoder.montage import canonical, template
@@ -81,7 +81,7 @@ def by_distance(tables: Tables) -> Drawn | None:
     style = {
         name: {**look, "linestyle": line} for (name, look), line in zip(_map_looks(maps), ("-", "--") * 9, strict=False)
     }
-    single = all(row["n_episodes"] == 1 for row in rows)
+    most = max(row["n_episodes"] for row in rows)
     with matplotlib.rc_context(LOOK):
         figure, grid = sheet(1, 2, 2.9)
         for name in maps:
@@ -90,14 +90,14 @@ def by_distance(tables: Tables) -> Drawn | None:
             for axes, key, scale in ((grid[0, 0], "success", 100), (grid[0, 1], "mean", 1)):
                 y = scale * np.array([row[key] for row in mine], dtype=float)
                 axes.plot(x, y, **style[name], alpha=0.9)
-                if not single:
+                if most >= FEWEST_FOR_A_BAND:
                     ends = ("success_low", "success_high") if key == "success" else ("low", "high")
                     low, high = (scale * np.array([row[end] for row in mine], dtype=float) for end in ends)
                     axes.fill_between(x, low, high, color=style[name]["color"], alpha=0.12, linewidth=0)
         longest = max(row["distance"] for row in rows)
         grid[0, 1].plot([0, longest], [0, longest], color=GREY, linestyle=":", linewidth=1)
         grid[0, 0].set(ylabel="episodes that reached the goal (%)", ylim=(-3, 103))
-        # Intervals of two or three episodes may be as wide as they like.
+        # Intervals of three or four episodes may be as wide as they like.
         grid[0, 1].set(ylabel="steps an episode", ylim=(0, 1.15 * max(*(row["mean"] for row in rows), longest)))
         for axes in grid[0]:
             axes.set(xlabel="initial distance to the goal (moves)", xlim=(0, longest + 1))
@@ -116,9 +116,9 @@ def by_distance(tables: Tables) -> Drawn | None:
         f"Two panels. {told}.",
         "Failed episodes count with the steps they took. "
         + (
-            "One episode a distance and map."
-            if single
-            else "Bands: 95 % intervals, Wilson's of shares, Student's of means."
+            "Bands: 95 % intervals, Wilson's of shares, Student's of means."
+            if most >= FEWEST_FOR_A_BAND
+            else f"Episodes a distance and map: {most}, too few for an interval."
         ),
     )
 
