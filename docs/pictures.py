@@ -27,7 +27,7 @@ DESKTOP, PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
 PATIENCE_MS = 1_200_000
 LATE = {"what": r"obstacles", "n_episodes": r"^([89]|1\d)$", "where": r"move ([7-9]|1\d)\b"}
 """A moment of the run with something to show: what the page's elements say then."""
-FIGURES = ("erp_calibration", "verdicts_decisions")
+FIGURES = ("erp_calibration",)
 
 
 def bci_app(*words: object) -> list[str]:
