@@ -70,10 +70,18 @@ def html(findings: Sequence[Finding], about: Mapping[str, str]) -> str:
     )
 
 
-def write(text: str, path: Path) -> None:
-    """Write the page. Nothing is written over: SetupError where it is there already."""
+def make_room(path: Path) -> None:
+    """Make the page's folder, before anybody waits for what can't be written. Raises SetupError where it can't be."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SetupError(f"Can't write {path}: {error.strerror}. Choose another file with --out.") from error
+
+
+def write(text: str, path: Path) -> None:
+    """Write the page. Nothing is written over: SetupError where it is there already."""
+    make_room(path)
+    try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except OSError as error:

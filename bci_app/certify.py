@@ -73,6 +73,7 @@ def examine(wanted: Wanted, progress: Progress) -> dict[str, Any]:
     for path in (page, set_up_file):
         if path.exists():
             raise SetupError(f"{path} is there already, and nothing is written over. Choose another file with --out.")
+    certificate.make_room(page)
     eeg = _stream(wanted)
     channel = _channel(eeg, wanted.channel)
     progress("measuring the screen", 0, 3)

@@ -16,6 +16,7 @@ from bci_app import config as configuration
 from bci_app.crew import beside
 from bci_app.errors import LinkLost, SetupError
 from bci_app.protocol import PROTOCOL_VERSION
+from bci_app.runs import read_sidecar
 from bci_app.terminal import finish, print_json, progress_bar, show_settings
 
 INTERRUPTED = 130
@@ -144,7 +145,9 @@ def fit(
 
     with progress_bar(as_json) as progress:
         result = fitting.fit(recording, configuration.load(config), allow_damage, progress)
-    finish(result, as_json, f"Next: bci-app online --participant {result['participant']} --map open{_with(config)}")
+    simulated = " --simulate" if read_sidecar(recording[0]).get("simulated") else ""
+    hint = f"Next: bci-app online --participant {result['participant']} --map open{simulated}{_with(config)}"
+    finish(result, as_json, hint)
 
 
 @app.command(rich_help_panel="In the lab")
@@ -155,7 +158,7 @@ def online(
     model: Annotated[Path | None, typer.Option("--model", help="Decoder; default: the participant's newest.")] = None,
     policy: Annotated[
         str | None,
-        typer.Option("--policy", help="told, accuracy, none, a file, or 0.75 ...; default: what suits the decoder."),
+        typer.Option("--policy", help="told, accuracy, none, 0.75 ..., or a file; default: what suits the decoder."),
     ] = None,
     below_gate: Annotated[
         bool, typer.Option("--below-gate", help="Run although the decoder's accuracy is below the gate.")

@@ -91,7 +91,7 @@ def evaluate(
         str | None,
         typer.Option(
             "--policy",
-            help="A policy's name or file, bayes, replan, planner, sweep or oracle; default: as `online`.",
+            help="told, accuracy, none, 0.75 ... or a file, as `online`; or bayes, replan, planner, sweep, oracle.",
         ),
     ] = None,
     episodes: EpisodesOption = 20_000,
@@ -118,7 +118,7 @@ def evaluate(
     else:
         draw, accuracy, balanced = _held_out(decoder)
     name = policy or ("told" if passes_gate(PolicyConfig(), accuracy, balanced) else "none")
-    player, heard = players.player_of(name, world, draw, folder or checkpoint.PRETRAINED)
+    player, heard = players.player_of(name, world, draw, folder or checkpoint.PRETRAINED, accuracy)
     figures: dict[str, Any] = {"map": world.name, "verdicts": verdicts or str(decoder), "policy": name}
     figures |= {"missing": missing, "taken_for": taken_for}
     figures |= evaluation.report(player, world, heard, episodes, seed)

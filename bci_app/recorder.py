@@ -50,19 +50,17 @@ class Recorder:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         deadline = time.monotonic() + START_TIMEOUT_S
         while not self._starts(deadline):
-            # The session hasn't begun, so what is in the file is nobody's recording.
-            self.path.unlink(missing_ok=True)
-            self._said = ""
+            pass
 
     def _starts(self, deadline: float) -> bool:
         """Whether it records all streams; False where it missed one and there is time to look again."""
         try:
             self._launch()
         except LinkLost:
-            if self._process is None or UNMATCHED not in self._said or time.monotonic() > deadline:
+            missed = UNMATCHED in self._said
+            self._discard()
+            if not missed or time.monotonic() > deadline:
                 raise
-            self._process.kill()
-            self._process.wait()
             return False
         return True
 
@@ -86,6 +84,14 @@ class Recorder:
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, INTERRUPTS)
         threading.Thread(target=self._listen, args=(self._process,), daemon=True).start()
         self._await_all()
+
+    def _discard(self) -> None:
+        """End a recording that didn't begin: the session hasn't either, so what is in the file is nobody's."""
+        assert self._process is not None
+        self._process.kill()
+        self._process.wait()
+        self.path.unlink(missing_ok=True)
+        self._said = ""
 
     def _await_all(self) -> None:
         n_streams = len(self._queries)

@@ -160,7 +160,7 @@ def choose_policy(
 
     accuracy, balanced = (float(info.blocked[name]["value"]) for name in ("accuracy", "balanced_accuracy"))
     if policy is not None:
-        card = _asked_card(policy, accuracy, world)
+        card = checkpoint.named(policy, world, accuracy)
         checkpoint.check_fits(card, world)
         return card, "as asked for"
     by_accuracy = settings.choice == "accuracy"
@@ -181,31 +181,6 @@ def passes_gate(settings: PolicyConfig, accuracy: float, balanced: float) -> boo
     """Whether a decoder's verdicts shorten the way, so that a run uses them."""
     # The paper's gate looks at the plain accuracy, which flatters a decoder where errors are rare.
     return (accuracy if settings.choice == "accuracy" else balanced) >= settings.gate_accuracy
-
-
-def _asked_card(policy: str, accuracy: float, world: GridWorld) -> "PolicyCard":
-    """A policy by its file, its kind or the accuracy it was trained at."""
-    from policy import checkpoint
-
-    if Path(policy).exists():
-        return checkpoint.read_card(Path(policy))
-    match policy:
-        case "none":
-            return checkpoint.choose_without(world)
-        case "told":
-            return checkpoint.choose_told(world)
-        case "accuracy":
-            return checkpoint.choose_by_accuracy(accuracy, world)
-    try:
-        trained_at = float(policy)
-    except ValueError:
-        trained_at = -1.0
-    if not 0.5 < trained_at <= 1:
-        raise SetupError(
-            "--policy must be a policy file, told, accuracy, none, or the accuracy a policy was trained at, above 0.5 "
-            f"and at most 1 as 0.75; found {policy!r}."
-        )
-    return checkpoint.choose_by_accuracy(trained_at, world)
 
 
 def disk(config: Config, eeg: EegDescription) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """Policy files: weights sealed with the card of the policy."""
 
 import json
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -162,6 +163,41 @@ def check_fits(card: PolicyCard, world: GridWorld) -> None:
 def library(folder: Path = PRETRAINED) -> list[PolicyCard]:
     """Cards of all policies in a folder, by default the shipped ones, ordered by file name."""
     return [read_card(path) for path in sorted(folder.glob(f"*{SUFFIX}")) if not path.stem.endswith("_teacher")]
+
+
+def named(name: str, world: GridWorld, accuracy: float, folder: Path = PRETRAINED, others: str = "") -> PolicyCard:
+    """The policy that is called so.
+
+    Parameters
+    ----------
+    name : a policy file; ``told``; ``none``; ``accuracy``, the one trained nearest to the decoder's; a number, the one
+        trained nearest to that; or the name of a file in `folder`, with or without the map before it.
+    accuracy : the decoder's.
+    others : what else a name may be, for the message.
+
+    Raises SetupError when there is none. That it is of this map must still be looked at (`check_fits`).
+    """
+    if Path(name).is_file():
+        return read_card(Path(name))
+    match name:
+        case "none":
+            return choose_without(world, folder)
+        case "told":
+            return choose_told(world, folder)
+        case "accuracy":
+            return choose_by_accuracy(accuracy, world, folder)
+    for stem in (name, f"{world.name}_{name}"):
+        path = folder / f"{stem}{SUFFIX}"
+        if path.is_file():
+            return read_card(path)
+    with suppress(ValueError):
+        if 0.5 < float(name) <= 1:
+            return choose_by_accuracy(float(name), world, folder)
+    known = ", ".join(sorted(card.name for card in library(folder)))
+    raise SetupError(
+        f"No policy '{name}': expected a policy file, told, accuracy, none, the accuracy one was trained at (above 0.5 "
+        f"and at most 1, as 0.75), {others}or of {folder}: {known or 'none there'}."
+    )
 
 
 def choose_told(world: GridWorld, folder: Path = PRETRAINED) -> PolicyCard:

@@ -14,19 +14,22 @@ from policy.verdicts import HeldOut, Verdicts
 BASELINES = ("bayes", "replan", "planner", "sweep", "oracle")
 
 
-def player_of(name: str, world: GridWorld, draw: Verdicts | HeldOut, folder: Path) -> tuple[Player, Verdicts | HeldOut]:
+def player_of(
+    name: str, world: GridWorld, draw: Verdicts | HeldOut, folder: Path, accuracy: float = 0.5
+) -> tuple[Player, Verdicts | HeldOut]:
     """A player, and the verdicts as it hears them.
 
     Parameters
     ----------
-    name : one of `BASELINES`, a policy file, or a policy's name in the folder, with or without the map before it.
+    name : one of `BASELINES`, or a policy's as `checkpoint.named` knows it.
     draw : verdicts as the decoder gives them.
+    accuracy : the decoder's, by which the name ``accuracy`` chooses.
 
     Raises SetupError when there is no such policy, it is of another map, or it can't hear such verdicts.
     """
     if name in BASELINES:
         return _baseline(name, world, folder), draw
-    card = _card(name, world, folder)
+    card = checkpoint.named(name, world, accuracy, folder, f"one of {', '.join(BASELINES)}, ")
     checkpoint.check_fits(card, world)
     assert card.path is not None
     network, _ = checkpoint.load(card.path)
@@ -69,14 +72,3 @@ def _baseline(name: str, world: GridWorld, folder: Path) -> Player:
             return PlannerPlayer(teachers.load(folder, world).planner, pair_weights(world, "mixture"))
         case _:
             return OraclePlayer(world)
-
-
-def _card(name: str, world: GridWorld, folder: Path) -> checkpoint.PolicyCard:
-    candidates = [Path(name), *(folder / f"{stem}{checkpoint.SUFFIX}" for stem in (name, f"{world.name}_{name}"))]
-    for path in candidates:
-        if path.is_file():
-            return checkpoint.read_card(path)
-    known = ", ".join(sorted(card.name for card in checkpoint.library(folder)))
-    raise SetupError(
-        f"No policy '{name}': expected a file, one of {', '.join(BASELINES)}, or of {folder}: {known or 'none there'}."
-    )

@@ -439,6 +439,15 @@ def test_mistakes_are_sentences(study: Study, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["export-bids", str(wrong), "--out", str(new)])
     assert done.exit_code == 2
     assert "P003" in done.output
+    (tmp_path / "file").touch()
+    for what, out, says in (
+        (tmp_path / "absent.xdf", new, "There is no recording"),
+        (tmp_path / "empty", new, "export-bids takes folders"),
+        (some, tmp_path / "file", "is a file; --out must be a folder"),
+        (tmp_path / "mine.xdf", new, "must be named as in"),
+    ):
+        with pytest.raises(SetupError, match=says):
+            export(what, out, "eeglab", False, quiet)
     done = CliRunner().invoke(app, ["export", str(some), "--out", str(new), "--format", "edf"])
     assert done.exit_code == 2
     assert "--format must be brainvision or eeglab" in done.output

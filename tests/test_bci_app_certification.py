@@ -193,6 +193,8 @@ def test_a_page_that_is_there_is_not_written_over(tmp_path: Path) -> None:
     (tmp_path / "page.html").write_text("older", encoding="utf-8")
     with pytest.raises(SetupError, match="is there already"):
         examine(Wanted(Config(), 10, True, None, tmp_path / "page.html"), lambda *_: None)
+    with pytest.raises(SetupError, match="Can't write"):
+        examine(Wanted(Config(), 10, True, None, tmp_path / "page.html" / "other.html"), lambda *_: None)
 
 
 def written(folder: Path, **stimulus: object) -> Config:

@@ -39,6 +39,8 @@ def test_a_stream_that_is_not_there_is_named(outlets: list[pylsl.StreamOutlet], 
     recorder = Recorder(tmp_path / "some.xdf", [*queries(outlets[:1]), {"source_id": "nobody"}])
     with pytest.raises(LinkLost, match=r"(?s)of 2 streams and stopped.*source_id='nobody'"):
         recorder.start()
+    assert not recorder.alive
+    assert not recorder.path.exists()
 
 
 def test_a_recording_is_never_overwritten(outlets: list[pylsl.StreamOutlet], tmp_path: Path) -> None:

@@ -56,7 +56,14 @@ def test_the_papers_rule_is_a_setting(dead: ModelInfo) -> None:
 
 
 @pytest.mark.parametrize(
-    ("asked", "name"), [("none", "open_none"), ("told", "open_told"), ("accuracy", "open_080"), ("0.91", "open_090")]
+    ("asked", "name"),
+    [
+        ("none", "open_none"),
+        ("told", "open_told"),
+        ("accuracy", "open_080"),
+        ("0.91", "open_090"),
+        ("070_paper", "open_070_paper"),
+    ],
 )
 def test_a_policy_that_is_asked_for_is_taken_below_the_gate_too(dead: ModelInfo, asked: str, name: str) -> None:
     card, reason = choose_policy(asked, reaching(dead, 0.80, 0.50), PolicyConfig(), False, OPEN)
@@ -71,7 +78,7 @@ def test_an_accuracy_that_is_none_is_refused(dead: ModelInfo, asked: str) -> Non
 
 
 def test_what_is_no_policy_and_what_is_of_another_map_is_refused(dead: ModelInfo) -> None:
-    with pytest.raises(SetupError, match="found 'best'"):
+    with pytest.raises(SetupError, match="No policy 'best': expected a policy file"):
         choose_policy("best", dead, PolicyConfig(), False, OPEN)
     other, _ = choose_policy("none", dead, PolicyConfig(), False, load_map("obstacles"))
     with pytest.raises(SetupError, match="trained on map 'obstacles'"):

@@ -2,7 +2,6 @@
 
 import http.client
 import re
-import shutil
 import subprocess
 import sys
 import threading
@@ -12,13 +11,13 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from browsing import CHROMIUM, chromium, complaints
+from playwright.sync_api import Browser, Page, expect
 
 from bci_app.metrics import latencies
 from bci_app.protocol import Command, EpisodeEnd, MoveOnset, Note, Pause, Resume, SessionEnd, Truth, Verdict
 from bci_app.recording import Recording, read
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SPEED = 24
 NOTE = "Moved the chair; <b>C3</b> & the reference look fine."
 SMALL = """
@@ -82,10 +81,8 @@ def session(tmp_path: Path) -> Iterator[Session]:
 
 @pytest.fixture
 def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        found = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+    with chromium() as found:
         yield found
-        found.close()
 
 
 def status(address: str, path: str | None = None, host: str | None = None, method: str = "GET", **headers: str) -> int:
@@ -111,15 +108,6 @@ def refused(address: str) -> list[int]:
         status(address, f"/{token}/ask", method="POST", Origin="null"),
         status(address, **{"Sec-Fetch-Site": "cross-site"}),
     ]
-
-
-def complaints(page: Page) -> list[str]:
-    """What axe-core says of the page by WCAG 2.2, A and AA."""
-    from axe_playwright_python.sync_playwright import Axe
-
-    rules = {"runOnly": {"type": "tag", "values": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]}}
-    found = Axe().run(page, options=rules).response["violations"]
-    return [f"{rule['id']}: {node['html']}" for rule in found for node in rule["nodes"]]
 
 
 def press(page: Page, name: str) -> None:
@@ -151,7 +139,10 @@ def test_the_page_follows_a_session_and_the_session_what_is_asked_for(session: S
     page.reload()
     expect(page.locator("#phase")).to_contain_text("paused")
     expect(page.locator("#plot canvas")).to_be_visible()
-    assert complaints(page) + complaints(phone) == []
+    for viewer, other in ((page, "dark"), (phone, "light")):
+        assert complaints(viewer) == []
+        viewer.emulate_media(color_scheme=other)
+        assert complaints(viewer) == []
     assert phone.evaluate("document.documentElement.scrollWidth") == 390
     press(phone, "Resume")
     expect(page.locator("#phase")).to_have_text("running", timeout=30_000)

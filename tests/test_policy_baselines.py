@@ -81,7 +81,7 @@ def test_names_find_players(folder):
         player, verdicts = player_of(name, RING, BINARY, folder)
         assert isinstance(player, kind)
         assert verdicts == BINARY
-    for name in ("ring_075", "075", str(folder / "ring_075.safetensors")):
+    for name in ("ring_075", "075", "0.8", "accuracy", str(folder / "ring_075.safetensors")):
         player, verdicts = player_of(name, RING, BINARY, folder)
         assert isinstance(player, NetworkPlayer)
         assert verdicts.taken_for == Verdicts("binary", (0.75,))
@@ -97,7 +97,7 @@ def test_a_policy_that_hears_one_kind_of_verdicts_cant_be_told_otherwise(folder)
 
 
 def test_an_unknown_name_lists_the_known_ones(folder):
-    with pytest.raises(SetupError, match=r"No policy 'best': expected a file, one of bayes.*ring_075"):
+    with pytest.raises(SetupError, match=r"No policy 'best': expected a policy file, told.*one of bayes.*ring_075"):
         player_of("best", RING, BINARY, folder)
 
 

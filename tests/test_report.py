@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from browsing import CHROMIUM, chromium, complaints
 from recorded_by_hand import BETWEEN_S, Wish, messages, recording, without, write
 from typer.testing import CliRunner
 
@@ -241,6 +242,19 @@ def test_letters_stand_out_in_light_and_dark(page: tuple[str, Page]) -> None:
                 assert (light + 0.05) / (dark + 0.05) >= 7 - (ground == "band"), (ground, letters)
 
 
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+def test_a_browser_finds_nothing_that_keeps_anybody_from_reading_it(made: Any) -> None:
+    address = Path(made["report"]).as_uri()
+    with chromium() as browser:
+        page = browser.new_page()
+        for width, scheme in ((1280, "light"), (390, "dark")):
+            page.set_viewport_size({"width": width, "height": 844})
+            page.emulate_media(color_scheme=scheme)
+            page.goto(address)
+            assert complaints(page) == []
+            assert page.evaluate("document.documentElement.scrollWidth") == width
+
+
 def test_figures_are_there_for_publication(made: Any) -> None:
     folder = Path(made["report"]).parent / "figures"
     names = {path.stem for path in folder.glob("*.svg")}
@@ -382,7 +396,7 @@ def test_what_went_wrong_is_told(whole: list[Recording]) -> None:
         "restart: The policy was started again.",
         "restart: The stimulus went on after step 2 of episode 1.",
         "late frame: 2 frames came late, 1 of them with a jump; the worst by 17.0 ms.",
-        "link: Stream Amp: samples were missing 2 times, it was away 1 times.",
+        "link: Stream Amp: gaps in its samples 2, times it was away 1.",
         "gap: The EEG has 1 gaps of a second or more, 4.0 s together.",
         "end: The recording has no end",
         "damage: 3 verdicts are missing.",

@@ -21,6 +21,10 @@ def export(path: Path, out: Path, kind: Format, allow_damage: bool, progress: Pr
     Returns ``file``, ``samples``, ``events``, ``lost_samples`` and ``samples_are``. Raises SetupError where the
     recording is unusable, or files of that name are there already.
     """
+    if not path.is_file():
+        raise SetupError(f"There is no recording {path}. Name one (.xdf); export-bids takes folders.")
+    if out.exists() and not out.is_dir():
+        raise SetupError(f"{out} is a file; --out must be a folder.")
     progress("reading the recording", 0, 3)
     source = read_source(path, allow_damage)
     name, rows = path.stem, source.events.rows

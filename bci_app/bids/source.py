@@ -122,7 +122,7 @@ def run_of(path: Path) -> Run:
     match = NAME.fullmatch(path.name)
     if match is None:
         raise SetupError(
-            f"{path} must be named as in sub-P001_ses-S001_task-online_run-001_eeg.xdf to be put into a dataset. "
+            f"{path} must be named as in sub-P001_ses-S001_task-online_run-001_eeg.xdf to be exported. "
             "Rename it and its sidecar."
         )
     return Run(path.parent, match["participant"], match["visit"], match["task"], int(match["run"]))

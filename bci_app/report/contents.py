@@ -60,11 +60,15 @@ def summary(tables: Tables, seen: Sequence[Mapping[str, Any]]) -> list[str]:
     troubles = [row for row in tables.get("events", []) if row["level"] != "info"]
     n_errors = sum(row["level"] == "error" for row in troubles)
     lines.append(
-        f"{n_errors} errors and {len(troubles) - n_errors} warnings are told at the end of the page."
+        f"{_count(n_errors, 'error')} and {_count(len(troubles) - n_errors, 'warning')}: see the end of the page."
         if troubles
         else "Nothing went wrong that the recordings know of."
     )
     return [line for line in lines if line]
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def _in_short(figures: Mapping[str, Any]) -> str:

@@ -24,8 +24,10 @@ CONDITIONS: dict[str, dict[str, Any]] = {
 }
 AREA_LOOKS: dict[str, dict[str, Any]] = {
     "central": {"color": GREEN, "marker": "o"},
-    "edge": {"color": PURPLE, "marker": "s"},
+    "edge": {"color": ORANGE, "marker": "s"},
 }
+FEWEST_FOR_A_BAND = 3
+"""An interval of two participants or episodes (Student's t of 12.7) hides everything else; the tables have it."""
 _SOURCES = (
     {"color": BLUE, "marker": "o"},
     {"color": BLACK, "marker": "s"},

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from bci_app.report import Row, Tables, distinct, those
-from bci_app.report.drawing import AREA_LOOKS, CONDITIONS, LOOK, Drawn
+from bci_app.report.drawing import AREA_LOOKS, CONDITIONS, FEWEST_FOR_A_BAND, LOOK, Drawn
 from bci_app.report.erp import FEWEST, MAPS_MS, grand_average
 from bci_app.report.waveforms import BASELINE_MS, nearest
 from decoder.montage import canonical, template
@@ -34,23 +34,27 @@ def potential(tables: Tables, source: str) -> Drawn | None:
             wave = those(rows, condition=condition)
             time, mean, sd = _columns(wave, "time_ms", "mean_uv", "sd_uv")
             n = wave[0]["n"]
-            upper.plot(time, mean, label=f"{condition} (n = {n})", **CONDITIONS[condition])
+            counted = f"{n} participants" if several else f"n = {n}"
+            upper.plot(time, mean, label=f"{condition} ({counted})", **CONDITIONS[condition])
             for sign in (-1, 1):
                 upper.plot(time, mean + sign * sd, color=CONDITIONS[condition]["color"], linestyle=":", linewidth=0.8)
+        upper.plot([], [], color=BLACK, linestyle=":", linewidth=0.8, label="± 1 SD")
         wave = those(rows, condition="difference")
         time, mean, low, high = _columns(wave, "time_ms", "mean_uv", "low_uv", "high_uv")
         lower.plot(time, mean, label="error less correct", **CONDITIONS["difference"])
-        lower.fill_between(time, low, high, color=BLACK, alpha=0.15, linewidth=0, label="95 % interval")
+        if wave[0]["n"] >= FEWEST_FOR_A_BAND:
+            lower.fill_between(time, low, high, color=BLACK, alpha=0.15, linewidth=0, label="95 % interval")
         peaks = those(tables.get("erp_peaks", []), source=source, participant=person, channel=channel)
         _mark(lower, peaks)
         clusters = those(tables.get("erp_clusters", []), source=source, participant=person, channel=channel)
-        _significant(lower, those(clusters, comparison="error - correct, all"))
+        if _significant(lower, those(clusters, comparison="error - correct, all")):
+            lower.plot([], [], color="0.4", linewidth=4, solid_capstyle="butt", label="differ, p < 0.05")
         for axes in (upper, lower):
             _zero(axes)
             axes.set_ylabel(f"{channel} (µV)")
             axes.legend(loc="upper right", ncols=1)
         lower.set(xlabel="time after the move (ms)", xlim=(BASELINE_MS[0], time[-1]))
-        lower.margins(y=0.26)
+        lower.margins(y=0.34)
     told = "; ".join(f"{peak['peak']}: {peak['mean_uv']:.1f} µV at {peak['time_ms']:.0f} ms" for peak in peaks)
     whose = f"{wave[0]['n']} participants" if several else f"{wave[0]['n']} moves"
     return Drawn(
@@ -71,7 +75,7 @@ def _mark(axes: Axes, peaks: Sequence[Row]) -> None:
         axes.annotate(
             text,
             (peak["time_ms"], peak["mean_uv"]),
-            xytext=(0, 7 if above else -7),
+            xytext=(0, 12 if above else -12),
             textcoords="offset points",
             ha="center",
             va="bottom" if above else "top",
@@ -79,11 +83,12 @@ def _mark(axes: Axes, peaks: Sequence[Row]) -> None:
         )
 
 
-def _significant(axes: Axes, clusters: Sequence[Row]) -> None:
-    """Bars along the bottom where two waveforms differ."""
+def _significant(axes: Axes, clusters: Sequence[Row]) -> bool:
+    """Bars along the bottom where two waveforms differ; whether they do."""
     for row in clusters:
         if row["begin_ms"] is not None:
             axes.axvspan(row["begin_ms"], row["end_ms"], ymax=0.025, color="0.4", linewidth=0)
+    return any(row["begin_ms"] is not None for row in clusters)
 
 
 def _zero(axes: Axes) -> None:
@@ -153,15 +158,17 @@ def by_area(tables: Tables, source: str) -> Drawn | None:
                 wave = those(rows, area=name, condition=condition)
                 time, mean, low, high = _columns(wave, "time_ms", "mean_uv", "low_uv", "high_uv")
                 axes.plot(time, mean, **CONDITIONS[condition])
-                axes.fill_between(time, low, high, color=CONDITIONS[condition]["color"], alpha=0.15, linewidth=0)
+                if wave[0]["n"] >= FEWEST_FOR_A_BAND:
+                    axes.fill_between(time, low, high, color=CONDITIONS[condition]["color"], alpha=0.15, linewidth=0)
             _shade(axes, those(clusters, comparison=f"error - correct, {name}"))
-            axes.set_title(f"{name} area")
+            axes.set_title(f"{name} area{_counted(those(rows, area=name))}")
         for name in names:
             wave = those(rows, area=name, condition="difference")
             time, mean, low, high = _columns(wave, "time_ms", "mean_uv", "low_uv", "high_uv")
             look = {"color": AREA_LOOKS[name]["color"], "linestyle": "-" if name == "central" else "--"}
             grid[0, 2].plot(time, mean, **look)
-            grid[0, 2].fill_between(time, low, high, color=look["color"], alpha=0.15, linewidth=0)
+            if wave[0]["n"] >= FEWEST_FOR_A_BAND:
+                grid[0, 2].fill_between(time, low, high, color=look["color"], alpha=0.15, linewidth=0)
         grid[0, 2].set_title("error less correct")
         for axes in grid[0]:
             _zero(axes)
@@ -172,7 +179,8 @@ def by_area(tables: Tables, source: str) -> Drawn | None:
             Line2D([], [], label=f"{name} area", linestyle=line, color=AREA_LOOKS[name]["color"])
             for name, line in zip(names, ("-", "--"), strict=True)
         ]
-        handles.append(Patch(color=SHADE, label="differ, p < 0.05"))
+        if clusters:
+            handles.append(Patch(color=SHADE, label="differ, p < 0.05"))
         figure.legend(handles=handles, loc="outside lower center", ncols=5)
     sizes = {name: _size(those(rows, area=name, condition="difference")) for name in names}
     least = {row["comparison"]: row["p"] for row in clusters}
@@ -185,12 +193,19 @@ def by_area(tables: Tables, source: str) -> Drawn | None:
         f"Waveforms at {channel} in the central and the edge area. From the negative to the positive peak of the "
         f"difference: {told}. Error moves, central against edge: {tested}.",
         "As the paper's Fig. 11. Edge: within two cells of the wall (decided; the paper's Fig. 10 is a drawing). "
-        "Shaded: clusters in which error and correct moves differ (permutation test). Bands: 95 % intervals. Error "
-        f"moves in the central area against those at the edge: {tested}.",
+        "Shaded: clusters in which error and correct moves differ (permutation test). Bands: 95 % intervals, from "
+        f"three on. Error moves in the central area against those at the edge: {tested}.",
     )
 
 
 SHADE = "#C9E4D6"  # green as in the paper, light enough for all lines on it
+
+
+def _counted(rows: Sequence[Row]) -> str:
+    """How many error and correct moves, or participants, a panel's means are of."""
+    n = {name: those(list(rows), condition=name)[0]["n"] for name in ("error", "correct")}
+    several = rows[0]["participant"] == "all"
+    return f", {n['error']} participants" if several else f", n = {n['error']} and {n['correct']}"
 
 
 def _shade(axes: Axes, clusters: Sequence[Row]) -> None:
@@ -228,7 +243,7 @@ def in_a_row(tables: Tables) -> Drawn | None:
         axes.axhline(0, color=GREY, linewidth=0.8)
         labels = [f"{row['errors_in_a_row']}\nn = {row['n']}" for row in rows]
         axes.set_xticks(level, labels)
-        axes.set(xlabel="errors in a row", ylabel=f"positive less negative peak,\n{rows[0]['channel']} (µV)")
+        axes.set(xlabel="errors in a row", ylabel=f"{rows[0]['channel']}: positive less\nnegative peak (µV)")
         axes.legend(loc="best")
     trend = those(tables.get("errors_in_a_row_trend", []), source=source, participant=person)
     slope = "".join(

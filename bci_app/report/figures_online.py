@@ -12,12 +12,12 @@ from matplotlib.patches import Rectangle
 
 from bci_app.gridworld import FREE
 from bci_app.report import Row, Tables, distinct, those
-from bci_app.report.drawing import AREA_LOOKS, LOOK, Drawn, looks, percent
+from bci_app.report.drawing import AREA_LOOKS, FEWEST_FOR_A_BAND, LOOK, Drawn, looks, percent
 from bci_app.report.figures_erp import head_map
 from bci_app.report.steps import BORDER, area_of, way
 from decoder.montage import canonical, template
 from policy.experiment1.figures_on_maps import ERROR, GOAL, START, draw_way, empty_map
-from policy.experiment1.plotting import BLUE, GREY, ORANGE, sheet, title
+from policy.experiment1.plotting import BLACK, BLUE, GREY, ORANGE, sheet, title
 
 COLUMNS = 5
 """Episodes beside each other."""
@@ -81,7 +81,7 @@ def by_distance(tables: Tables) -> Drawn | None:
     style = {
         name: {**look, "linestyle": line} for (name, look), line in zip(_map_looks(maps), ("-", "--") * 9, strict=False)
     }
-    single = all(row["n_episodes"] == 1 for row in rows)
+    most = max(row["n_episodes"] for row in rows)
     with matplotlib.rc_context(LOOK):
         figure, grid = sheet(1, 2, 2.9)
         for name in maps:
@@ -90,18 +90,19 @@ def by_distance(tables: Tables) -> Drawn | None:
             for axes, key, scale in ((grid[0, 0], "success", 100), (grid[0, 1], "mean", 1)):
                 y = scale * np.array([row[key] for row in mine], dtype=float)
                 axes.plot(x, y, **style[name], alpha=0.9)
-                if not single:
+                if most >= FEWEST_FOR_A_BAND:
                     ends = ("success_low", "success_high") if key == "success" else ("low", "high")
                     low, high = (scale * np.array([row[end] for row in mine], dtype=float) for end in ends)
                     axes.fill_between(x, low, high, color=style[name]["color"], alpha=0.12, linewidth=0)
         longest = max(row["distance"] for row in rows)
         grid[0, 1].plot([0, longest], [0, longest], color=GREY, linestyle=":", linewidth=1)
         grid[0, 0].set(ylabel="episodes that reached the goal (%)", ylim=(-3, 103))
-        # Intervals of two or three episodes may be as wide as they like.
+        # Intervals of three or four episodes may be as wide as they like.
         grid[0, 1].set(ylabel="steps an episode", ylim=(0, 1.15 * max(*(row["mean"] for row in rows), longest)))
         for axes in grid[0]:
             axes.set(xlabel="initial distance to the goal (moves)", xlim=(0, longest + 1))
-        handles = [Line2D([], [], label=title(name), **style[name]) for name in maps]
+        n = {name: sum(row["n_episodes"] for row in those(rows, map=name)) for name in maps}
+        handles = [Line2D([], [], label=f"{title(name)} ({n[name]} episodes)", **style[name]) for name in maps]
         handles.append(Line2D([], [], color=GREY, linestyle=":", label="shortest way"))
         figure.legend(handles=handles, loc="outside lower center", ncols=4)
     told = "; ".join(
@@ -115,9 +116,9 @@ def by_distance(tables: Tables) -> Drawn | None:
         f"Two panels. {told}.",
         "Failed episodes count with the steps they took. "
         + (
-            "One episode a distance and map."
-            if single
-            else "Bands: 95 % intervals, Wilson's of shares, Student's of means."
+            "Bands: 95 % intervals, Wilson's of shares, Student's of means."
+            if most >= FEWEST_FOR_A_BAND
+            else f"Episodes a distance and map: {most}, too few for an interval."
         ),
     )
 
@@ -139,7 +140,7 @@ def areas(tables: Tables) -> Drawn | None:
         return None
     maps = distinct(rows, "map")
     with matplotlib.rc_context(LOOK):
-        figure, grid = sheet(len(maps), 2, 2.45 * len(maps) + 0.5, width_ratios=(1, 2.2))
+        figure, grid = sheet(len(maps), 2, 2.6 * len(maps) + 0.6, width_ratios=(1, 2.2))
         for line, name in zip(grid, maps, strict=True):
             _draw_areas(line[0], _layout(tables, name))
             line[0].set_title(title(name))
@@ -148,7 +149,8 @@ def areas(tables: Tables) -> Drawn | None:
             Line2D([], [], linestyle="none", label=f"{name} area", **{**look, "markersize": 6})
             for name, look in AREA_LOOKS.items()
         ]
-        figure.legend(handles=handles, loc="outside lower center", ncols=2)
+        handles.append(Line2D([], [], color=GREY, linestyle=":", label="chance, 50 %"))
+        figure.legend(handles=handles, loc="outside lower center", ncols=3)
     tests = tables.get("area_test", [])
     group = those(tests, participant="all") or tests
     told = "; ".join(
@@ -184,7 +186,7 @@ def _draw_accuracy(axes: Axes, rows: list[Row]) -> None:
     """By participant; of a single one also of errors and of correct moves."""
     people = distinct(rows, "participant")
     measures = ("accuracy", "hit_rate", "correct_rejection_rate") if len(people) == 1 else ("accuracy",)
-    labels = ["all moves", "errors", "correct moves"] if len(people) == 1 else people
+    labels = _numbered(rows) if len(people) == 1 else people
     for area, look in AREA_LOOKS.items():
         places = [
             (row, name)
@@ -204,6 +206,15 @@ def _draw_accuracy(axes: Axes, rows: list[Row]) -> None:
     axes.set(ylabel="right verdicts (%)", ylim=(None, 102), xlim=(-0.5, len(labels) - 0.5))
 
 
+def _numbered(rows: list[Row]) -> list[str]:
+    """What moves, and how many of them in the central and in the edge area."""
+    counts = {row["area"]: (row["n"], row["n_error"], row["n"] - row["n_error"]) for row in rows}
+    return [
+        "\n".join([name, "n = " + " and ".join(str(counts[area][place]) for area in AREA_LOOKS if area in counts)])
+        for place, name in enumerate(("all moves", "errors", "correct moves"))
+    ]
+
+
 STAGES = {"verdict": BLUE, "policy": ORANGE, "action": GREY, "late frame": GREY}
 
 
@@ -215,7 +226,7 @@ def latencies(tables: Tables) -> Drawn | None:
     names = [(row["participant"], row["run"], row["what"]) for row in rows]
     several = len(distinct(rows, "participant")) > 1
     with matplotlib.rc_context(LOOK):
-        figure, grid = sheet(1, 1, 0.9 + 0.22 * len(rows))
+        figure, grid = sheet(1, 1, 1.1 + 0.22 * len(rows))
         axes = grid[0, 0]
         for place, row in enumerate(rows):
             colour = STAGES[row["what"]]
@@ -227,17 +238,28 @@ def latencies(tables: Tables) -> Drawn | None:
         labels = [f"{who + ' ' if several else ''}{run}: {what}" for who, run, what in names]
         axes.set_yticks(range(len(rows)), labels)
         axes.invert_yaxis()
-        axes.set(xscale="log", xlabel="real ms")
+        axes.set(xscale="log", xlabel="latency (ms of real time, logarithmic)")
         axes.xaxis.set_major_formatter("{x:g}")
+        figure.legend(handles=_latency_marks(), loc="outside lower center", ncols=4)
     told = "; ".join(f"{row['run']} {row['what']}: {row['p50_ms']:.1f} and {row['p99_ms']:.1f} ms" for row in rows[:8])
     return Drawn(
         figure,
         "Latencies of the loop",
         f"Ranges on a logarithmic axis. Median and 99th percentile: {told}.",
-        "Dot: median; thick: from the least to the 95th percentile; tick: 99th percentile; thin: to the largest. "
+        "Thick bars begin at the least. "
         "Verdict: from the arrival of a move's last EEG sample to the verdict. Policy: from the verdict's arrival to "
         "the action. Action: from verdict to action as both were sent, so with the way between the two processes.",
     )
+
+
+def _latency_marks() -> list[Line2D]:
+    looks_of: dict[str, dict[str, Any]] = {
+        "median": {"marker": "o", "linestyle": "none"},
+        "to the 95th percentile": {"linewidth": 5, "alpha": 0.5, "solid_capstyle": "butt"},
+        "99th percentile": {"marker": "|", "markersize": 8, "linestyle": "none"},
+        "to the largest": {"linewidth": 1},
+    }
+    return [Line2D([], [], color=BLACK, label=name, **look) for name, look in looks_of.items()]
 
 
 def electrodes(tables: Tables) -> Drawn | None:

@@ -45,11 +45,15 @@ def accuracy(tables: Tables) -> Drawn | None:
             axes.axhline(GATE, color=GREY, linestyle="--", linewidth=1)
             labels = people if measure else list(MEASURES.values())
             axes.set_xticks(range(len(places)), labels, rotation=45 if measure and len(people) > 8 else 0)
-            axes.set(ylabel=f"{MEASURES[measure].replace(chr(10), ' ')} (%)" if measure else "%", ylim=(None, 101))
-        handles = [Line2D([], [], linestyle="none", label=words(source), **style[source]) for source in sources]
+            label = MEASURES[measure].replace(chr(10), " ") if measure else "value with 95 % interval"
+            axes.set(ylabel=f"{label} (%)", ylim=(None, 101))
+        handles = [
+            Line2D([], [], linestyle="none", label=words(source) + _moves(those(rows, source=source)), **style[source])
+            for source in sources
+        ]
         handles += [Line2D([], [], color=GREY, linestyle="--", label="the paper's gate, 70 %")]
-        handles += [Line2D([], [], color=GREY, linestyle=":", label="chance of the balanced measures, 50 %")]
-        figure.legend(handles=handles, loc="outside lower center", ncols=3)
+        handles += [Line2D([], [], color=GREY, linestyle=":", label="chance, 50 %")]
+        figure.legend(handles=handles, loc="outside lower center", ncols=3, columnspacing=1.2, handlelength=1.6)
     means = {source: _mean(those(rows, source=source, measure="balanced_accuracy")) for source in sources}
     told = "; ".join(f"{words(source)} {percent(mean)}" for source, mean in means.items())
     return Drawn(
@@ -57,8 +61,16 @@ def accuracy(tables: Tables) -> Drawn | None:
         "How often verdicts are right",
         f"Points with intervals. Balanced accuracy{' in the mean' if len(people) > 1 else ''}: {told}.",
         "Bars are 95 % intervals: Wilson's for shares, MOVER's for the balanced accuracy, DeLong's for the area under "
-        "the ROC curve. Neighbouring epochs resemble each other, so believe contiguous folds where the two differ.",
+        "the ROC curve. n counts moves. Chance is that of the balanced measures. Neighbouring epochs resemble each "
+        "other, so believe contiguous folds where the two differ.",
     )
+
+
+def _moves(rows: list[Row]) -> str:
+    """How many moves a source's figures are of, in brackets; of several participants all of theirs."""
+    mine = those(rows, measure="accuracy")
+    n = sum(row["n_error"] + row["n_correct"] for row in mine)
+    return f" (n = {n:,})" if n else ""
 
 
 def _mean(rows: list[Row]) -> float | None:
@@ -156,16 +168,17 @@ def learning_curve(tables: Tables) -> Drawn | None:
                 100 * np.array([row[f"balanced_accuracy{end}"] for row in curve]) for end in ("", "_low", "_high")
             )
             alone = len(curves) == 1
-            axes.plot(n, value, color=BLUE, marker="o", alpha=1 if alone else 0.6)
+            axes.plot(n, value, color=BLUE, marker="o", alpha=1 if alone else 0.6, label="expected" if alone else None)
             if alone:
-                axes.fill_between(n, low, high, color=BLUE, alpha=0.15, linewidth=0)
-        axes.axhline(GATE, color=GREY, linestyle="--", linewidth=1)
+                axes.fill_between(n, low, high, color=BLUE, alpha=0.15, linewidth=0, label="95 % interval")
+        axes.axhline(GATE, color=GREY, linestyle="--", linewidth=1, label="the paper's gate, 70 %")
         axes.set(xlabel="valid epochs of the calibration", ylabel="balanced accuracy (%)", xlim=(0, None))
+        figure.legend(loc="outside lower center", ncols=3)
     last = [curve[-1]["sentence"] for curve in curves]
     return Drawn(
         figure,
         "Learning curve",
         "Expected balanced accuracy against the number of epochs. " + (last[0] if len(last) == 1 else ""),
         "What is expected of a decoder fitted on all epochs until then, after each block; the band is its 95 % "
-        "interval. Dashed: the paper's gate, which looks at plain accuracy.",
+        "interval. The paper's gate looks at plain accuracy.",
     )

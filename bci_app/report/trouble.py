@@ -125,7 +125,7 @@ def _links(recording: Recording) -> Iterator[Event]:
         newest[link.role, link.stream] = stamp, link
     for (role, stream), (stamp, link) in newest.items():
         if link.gaps or link.reconnects:
-            text = f"Stream {stream}: samples were missing {link.gaps} times, it was away {link.reconnects} times."
+            text = f"Stream {stream}: gaps in its samples {link.gaps}, times it was away {link.reconnects}."
             yield stamp, "link", "warning", role, text
 
 
