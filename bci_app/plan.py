@@ -107,7 +107,7 @@ def arguments(plan: Plan, role: Role, session: str, clock: Clock) -> list[str]:
     return words
 
 
-def described(plan: Plan, config: Config, session: str, speed: float) -> dict[str, object]:
+def described(plan: Plan, config: Config, session: str, clock: Clock) -> dict[str, object]:
     """A run's sidecar as it begins."""
     return {
         "session": session,
@@ -116,7 +116,8 @@ def described(plan: Plan, config: Config, session: str, speed: float) -> dict[st
         "map": plan.map,
         "seed": plan.seed,
         "simulated": plan.simulate,
-        "speed": speed,
+        "speed": clock.speed,
+        "origin": clock.origin,
         "model": _file(plan.model),
         "policy": _file(plan.policy),
         "told": plan.told,

@@ -405,7 +405,7 @@ class _Conductor:
     def _save_sidecar(self, **news: Any) -> None:
         """The sidecar is there from the start, so that even a run that dies tells what it was."""
         if not self.sidecar:
-            self.sidecar = described(self.plan, self.config, self.session, self.clock.speed)
+            self.sidecar = described(self.plan, self.config, self.session, self.clock)
         self.sidecar |= news
         write_sidecar(self.plan.run.sidecar, self.sidecar)
 
