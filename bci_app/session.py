@@ -518,6 +518,7 @@ class _Conductor:
                 "seed": plan.seed,
                 "simulated": plan.simulate,
                 "speed": self.clock.speed,
+                "origin": self.clock.origin,
                 "model": _file(plan.model),
                 "policy": _file(plan.policy),
                 "told": plan.told,

@@ -14,11 +14,13 @@ from bci_app.protocol import (
     AMPLIFIER_NOTES,
     STIMULUS,
     TRUTH,
+    MoveOnset,
     SessionEnd,
     SessionStart,
     Truth,
     simulated_source_id,
 )
+from decoder.attention import Attention
 from decoder.background import read_background
 from decoder.montage import match_channels
 from decoder.participant import Participant, Person
@@ -73,6 +75,8 @@ class _Player:
                 f"simulation.dead names channels that this participant hasn't got: {', '.join(missing)}. It has "
                 f"{', '.join(names)}."
             )
+        self._attention = Attention(config.simulation)
+        self._unanswered: dict[tuple[int, int], Truth] = {}  # moves of which it isn't known yet where they led
         self._noise = np.random.default_rng(config.simulation.run)
         self._photodiode = Photodiode(config, self._t0, self._participant.sfreq)
         n_eeg, others = len(names), self._photodiode.names
@@ -118,14 +122,24 @@ class _Player:
         for item in self._peer.hear(self._truth, timeout):
             if isinstance(item.message, Truth):
                 self._photodiode.jump(item.stamp)
-            match item.message:
-                case Truth(error=error) as truth if not self._participant.respond(item.stamp, error):
-                    text = f"The truth of episode {truth.episode}, step {truth.step} came after its samples were sent."
-                    self._peer.note("error", text)
+                if self._attention.is_even:
+                    self._respond(item.stamp, item.message, 1.0)
+                else:
+                    self._unanswered[item.message.episode, item.message.step] = item.message
         for item in self._peer.hear(self._stimulus) if self._stimulus else ():
             self.ended |= isinstance(item.message, SessionEnd)
-            if isinstance(item.message, SessionStart):
-                self._began = local_clock()
+            match item.message:
+                case SessionStart() as opening:
+                    self._began = local_clock()
+                    self._attention.open(opening)
+                case MoveOnset() as move if truth := self._unanswered.pop((move.episode, move.step), None):
+                    # The truth is told before the move: by now it is known where that led.
+                    self._respond(item.stamp, truth, self._attention.size(truth, move.position))
+
+    def _respond(self, onset: float, truth: Truth, size: float) -> None:
+        if not self._participant.respond(onset, truth.error, size):
+            text = f"The truth of episode {truth.episode}, step {truth.step} came after its samples were sent."
+            self._peer.note("error", text)
 
     def _n_acquired(self) -> int:
         """Samples acquired up to now less the amplifier's own delay."""
