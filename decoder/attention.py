@@ -14,10 +14,11 @@ class Attention:
     Parameters
     ----------
     config : with `errp_at_edge`, `errp_habituation` and `errp_online`.
+    as_online : whether the ErrP is as large as online in a calibration, too.
     """
 
-    def __init__(self, config: SimulationConfig) -> None:
-        self._config = config
+    def __init__(self, config: SimulationConfig, as_online: bool = False) -> None:
+        self._config, self._as_online = config, as_online
         self._shape: tuple[int, int] | None = None
         self._online = 1.0
         self._in_a_row, self._episode = 0, -1
@@ -31,7 +32,7 @@ class Attention:
     def open(self, opening: SessionStart) -> None:
         """A run begins: on which map, and whether online."""
         self._shape = len(opening.layout), len(opening.layout[0])
-        self._online = self._config.errp_online if opening.task == "online" else 1.0
+        self._online = self._config.errp_online if self._as_online or opening.task == "online" else 1.0
 
     def size(self, truth: Truth, position: Position) -> float:
         """The size at a move that led to a position, in order of the moves."""

@@ -10,6 +10,7 @@ from bci_app.protocol import EpisodeEnd, EpisodeGoal, EpisodeStart, MoveOnset, S
 from bci_app.recording import Recording
 from bci_app.report import Row
 
+
 def move_rows(recording: Recording) -> list[Row]:
     """One row a move, in order: where it led, whether it was an error, what the verdict was.
 

@@ -1,4 +1,4 @@
-"""A study: a cohort of participants, each under several conditions on the same episodes, in one folder, with one report.
+"""A study: a cohort of participants, each under several conditions on the same episodes; one folder, one report.
 
 The study file (`plan`) says who takes part and what is compared. A participant is conducted part by part, through the
 real processes over LSL (`conduct`) or with the same functions in one process (`loop`, `alone`), and each part that is
