@@ -1,9 +1,9 @@
 """The closed loop in one process: the stimulus, the participant, the decoder and the policy, on a clock that jumps.
 
 These are the live loop's own functions: `Paradigm` moves the agent, a simulated person answers its moves in EEG,
-`Judge` makes verdicts of that, `Navigator` chooses the next move. There is no LSL and nothing waits, so a session of an hour
-takes half a minute. What a live session owes to the moment are the times of its flips, and when the decoder looked at
-the electrodes; all else follows from the seeds. `Moments` are these times: ideal ones, or a live session's.
+`Judge` makes verdicts of that, `Navigator` chooses the next move. There is no LSL and nothing waits, so a session of an
+hour takes half a minute. What a live session owes to the moment are the times of its flips, and when the decoder looked
+at the electrodes; all else follows from the seeds. `Moments` are these times: ideal ones, or a live session's.
 """
 
 from collections.abc import Iterator

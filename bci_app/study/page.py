@@ -62,11 +62,12 @@ def _first(
     for row in rows:
         if row["group"] == tables.ALL and row["map"] == tables.ALL and row["condition"] != study.conditions[0]:
             lines.append(
-                f"{SAID[row['condition']].capitalize()}: {_steps(row)} against no ErrP, success {percent(row['success'])}."
+                f"{SAID[row['condition']].capitalize()}: {_steps(row)} against no ErrP, success "
+                f"{percent(row['success'])}."
             )
     if any(kind == "simulated" for kind in kinds):
         lines.append(
-            "Simulated participants are no people: what they show is what the study would show if people were so."
+            "Simulated participants are no people: this is what the study would show if people were like them."
         )
     if lacking:
         names = ", ".join(row["participant"] for row in lacking)
@@ -144,8 +145,8 @@ def _headline(rows: Sequence[Row]) -> Grid:
     ]
     note = (
         "Success within the limit of steps, with Wilson's interval over episodes; mean steps over participants with "
-        "Student's, failed episodes with their steps. Against no ErrP: ratio of the means over participants, each paired "
-        "with themselves; paired t test, and Wilcoxon's signed-rank test. All intervals are of 95 %."
+        "Student's, failed episodes with their steps. Against no ErrP: ratio of the means over participants, each "
+        "paired with themselves; paired t test, and Wilcoxon's signed-rank test. All intervals are of 95 %."
     )
     return Grid("Conditions", ("Condition", "Map", "n", *_HEAD), lines, note=note)
 
@@ -157,7 +158,8 @@ def _people(rows: Sequence[Row], condition: Condition) -> Grid:
 
 
 def _published(rows: Sequence[Row]) -> Grid:
-    lines, quiet = [], []
+    lines: list[tuple[str, ...]] = []
+    quiet: list[int] = []
     for row in rows:
         ours = row["series"] == "ours"
         if ours and row["group"] not in (tables.ALL, "of the paper"):

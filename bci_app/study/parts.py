@@ -1,4 +1,4 @@
-"""What is done of a study, a file a participant: written whole after each part, so that an interrupted study goes on."""
+"""What is done of a study, a file a participant: written whole after each part, so an interrupted study goes on."""
 
 import json
 import os

@@ -98,7 +98,7 @@ class Study(Section):
     """Maps, shipped or files, on each of which every condition has its episodes."""
     papers_gate: Probability = PAPERS_GATE
     """Cross-validated accuracy below which condition `paper` goes without verdicts."""
-    config: dict[str, Any] = {}
+    config: dict[str, Any] = Field(default={})
     """Settings of all runs, as in a --config file."""
     participants: Annotated[tuple[Participant, ...], Field(min_length=1)]
     """Who takes part."""

@@ -67,9 +67,9 @@ class Heard:
 def run(study: Study, n_studies: int, progress: Progress) -> dict[str, Any]:
     """Participants needed for `WANTED_POWER`, for each condition against no ErrP, and for ours against the paper's.
 
-    Returns ``needed`` by comparison (None where `MOST` don't do), ``power`` by comparison and number of participants with
-    its interval, ``effects`` (mean and standard deviation over participants, in steps), ``population``, ``studies`` and
-    ``seconds``. Raises SetupError for a study without simulated participants.
+    Returns ``needed`` by comparison (None where `MOST` don't do), ``power`` by comparison and number of participants
+    with its interval, ``effects`` (mean and standard deviation over participants, in steps), ``population``,
+    ``studies`` and ``seconds``. Raises SetupError for a study without simulated participants.
     """
     started = perf_counter()
     people = [each for each in study.participants if each.kind == "simulated"]
@@ -107,7 +107,7 @@ def needed(points: Sequence[dict[str, float]]) -> int | None:
 
 
 def effect(differences: Array) -> dict[str, float]:
-    """Steps an episode, of (n_people, n_times) differences: the mean, its spread over people, and of one's own tries."""
+    """Steps an episode, of (n_people, n_times) differences: mean, its spread over people, and over one's own tries."""
     means = differences.mean(axis=1)
     return {
         "mean": float(means.mean()),
@@ -149,7 +149,7 @@ def steps_of(study_json: str, name: str) -> dict[str, Array]:
     config = study.settings(who)
     heard = hear(study, who, config)
     worlds = [load_map(each) for each in study.maps]
-    found = {}
+    found: dict[str, Array] = {}
     for condition in ("none", *CONDITIONS):
         steps = [play_all(study, config, heard, condition, world, name) for world in worlds]
         found[condition] = np.concatenate(steps, axis=1).mean(axis=1)

@@ -75,7 +75,7 @@ def _through(who: Participant, through: Through) -> Through:
 
 
 def _side_by_side(study: Study, through: Through) -> int:
-    cores = joblib.cpu_count()
+    cores = int(joblib.cpu_count())
     if study.side_by_side:
         return study.side_by_side
     return min(MOST_SESSIONS, cores) if through == "processes" else cores
@@ -106,7 +106,7 @@ def _keep(study: Study, through: Through, made: dict[str, Any]) -> None:
 
 def people_of(study: Study, through: Through) -> list[tables.Person]:
     """What is kept of each participant, in the study's order."""
-    found = []
+    found: list[tables.Person] = []
     for who in study.participants:
         kept = Kept.of(study, who, _through(who, through))
         found.append({**kept.head, "parts": kept.parts, "stopped": kept.stopped})
@@ -173,7 +173,8 @@ def show(result: dict[str, Any], tell: Callable[[str], None]) -> None:
             steps = row["steps_vs_none"]
             against = "" if steps is None or condition == "none" else f", {100 * steps:+.1f} % against none"
             if against and row["p"] is not None:
-                against += f" [{100 * row['steps_vs_none_low']:+.1f}, {100 * row['steps_vs_none_high']:+.1f}], p {row['p']:.2g}"
+                low, high = (100 * row[f"steps_vs_none_{end}"] for end in ("low", "high"))
+                against += f" [{low:+.1f}, {high:+.1f}], p {row['p']:.2g}"
             who = f"{row['participants']} participants"
             tell(f"{condition}, {name}: success {row['success']:.1%}, {row['mean_steps']:.2f} steps{against} ({who})")
     for row in result["unfinished"]:
