@@ -79,27 +79,32 @@ class _Conducted:
         self.part = part
         seed = self.study.run_seed(self.who.name, part)
         target = self._decoder(part)
-        if part in self.kept.parts and target.exists():
+        wanted = {target}
+        if part == CALIBRATION and "coin" in self.study.conditions:
+            wanted.add(self._decoder("coin"))
+        missing = {path for path in wanted if not path.exists()}
+        if part in self.kept.parts and not missing:
             return
-        if part not in self.kept.recorded:
+        if part not in self.kept.parts and part not in self.kept.recorded:
             self.kept.recorded[part] = self.way.calibrate(config, self.who.name, visit, seed)
             self.kept.save()
-        path = self.kept.recorded[part]
-        if not target.exists():  # else it was interrupted just after
-            self._fit(config, part, seed, path, target)
+        path = self.kept.recorded.get(part) or self.kept.parts.get(part, {}).get("recording", "")
+        if missing:
+            self._fit(config, seed, path, missing)
         self.kept.done(part, of_calibration(model.load(target).info, target, path))
 
-    def _fit(self, config: Config, part: str, seed: int, path: str, target: Path) -> None:
-        """Make the decoder's file, and before it that of the coin."""
+    def _fit(self, config: Config, seed: int, path: str, missing: set[Path]) -> None:
+        """Make the files of the decoder and of its coin, as far as they are missing."""
         recording = self.way.recording(config, self.who.name, seed, path)
         sha256 = checksum(Path(path)) if path else ""
         epochs, result, fitted = fitting.decoder_of(recording, self.who.name, config, sha256)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        if part == CALIBRATION and "coin" in self.study.conditions:
-            tossing = coin(fitted, result, epochs.features, epochs.error, config.classifier, seed)
-            self._decoder("coin").unlink(missing_ok=True)  # left by one that was interrupted between the two
-            model.save(tossing, self._decoder("coin"))
-        model.save(fitted, target)
+        for target in missing:
+            is_coin = target == self._decoder("coin")
+            target.parent.mkdir(parents=True, exist_ok=True)
+            tossing = (
+                coin(fitted, result, epochs.features, epochs.error, config.classifier, seed) if is_coin else fitted
+            )
+            model.save(tossing, target)
 
     def _online(self, condition: Condition, map_name: str, config: Config) -> None:
         part = {"coin": "coin", "mute": MUTE}.get(condition, CALIBRATION)
