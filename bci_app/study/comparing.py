@@ -53,10 +53,10 @@ def ratio(steps: Sequence[float], others: Sequence[float]) -> Ratio:
         return Ratio(value - 1, None, None, None, None, n)
     left = a - value * b
     half = float(stats.t.ppf(0.975, n - 1) * left.std(ddof=1) / sqrt(n) / b.mean())
-    return Ratio(value - 1, value - 1 - half, value - 1 + half, *tests(a - b), n)
+    return Ratio(value - 1, value - 1 - half, value - 1 + half, *paired_tests(a - b), n)
 
 
-def tests(differences: Array) -> tuple[float, float]:
+def paired_tests(differences: Array) -> tuple[float, float]:
     """p of the paired t test and of Wilcoxon's signed-rank test, two-sided; 1 where all differences are 0."""
     if not differences.any():
         return 1.0, 1.0
