@@ -57,17 +57,24 @@ def main() -> None:
         ]
     else:
         paths = list(sessions(asked.folder, asked.sessions, asked.participants, asked.speed, asked.longest))
-    found = []
+    found: list[dict[str, Any]] = []
+    left_out: list[str] = []
     for path in paths:
-        row = compare(path)
-        if row is not None:
+        try:
+            row = compare(path)
+        except SetupError as error:  # damaged on purpose by a drill, or a decoder of an older version
+            left_out.append(f"{path}: {error}")
+            continue
+        if row is None:
+            left_out.append(f"{path}: not a whole simulated session without faults, or its files are gone")
+        else:
             found.append(row)
             if not asked.json:
                 print(row, flush=True)
     same = sum(row["identical"] for row in found)
     total = {f"{kind.__name__}": sum(row[kind.__name__][0] for row in found) for kind in KINDS}
-    summary = {"sessions": len(found), "identical": same, **total}
-    print(json.dumps(summary | ({"rows": found} if asked.json else {}), indent=1))
+    summary: dict[str, Any] = {"sessions": len(found), "identical": same, **total, "left_out": len(left_out)}
+    print(json.dumps(summary | ({"rows": found, "reasons": left_out} if asked.json else {}), indent=1))
 
 
 def sessions(folder: Path, n: int, n_participants: int, speed: float, longest: int) -> Any:
@@ -112,10 +119,7 @@ def compare(path: Path) -> dict[str, Any] | None:
     sidecar = read_sidecar(path)
     if not is_whole(sidecar):
         return None
-    try:
-        recording = read(path, eeg_type=eeg_type(sidecar))
-    except SetupError:  # damaged on purpose, as a drill does
-        return None
+    recording = read(path, eeg_type=eeg_type(sidecar))
     model, policy = (file_of(path, sidecar, name) for name in ("model", "policy"))
     if recording.of(Continued) or (model is None) != (sidecar["model"] is None) or policy is MISSING:
         return None
