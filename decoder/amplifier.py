@@ -15,6 +15,7 @@ from bci_app.protocol import (
     STIMULUS,
     TRUTH,
     MoveOnset,
+    Position,
     SessionEnd,
     SessionStart,
     Truth,
@@ -76,7 +77,9 @@ class _Player:
                 f"{', '.join(names)}."
             )
         self._attention = Attention(config.simulation)
-        self._unanswered: dict[tuple[int, int], Truth] = {}  # moves of which it isn't known yet where they led
+        # Of moves of which the other isn't known yet.
+        self._truths: dict[tuple[int, int], tuple[float, Truth]] = {}
+        self._positions: dict[tuple[int, int], Position] = {}
         self._noise = np.random.default_rng(config.simulation.run)
         self._photodiode = Photodiode(config, self._t0, self._participant.sfreq)
         n_eeg, others = len(names), self._photodiode.names
@@ -125,16 +128,19 @@ class _Player:
                 if self._attention.is_even:
                     self._respond(item.stamp, item.message, 1.0)
                 else:
-                    self._unanswered[item.message.episode, item.message.step] = item.message
+                    self._truths[item.message.episode, item.message.step] = item.stamp, item.message
         for item in self._peer.hear(self._stimulus) if self._stimulus else ():
             self.ended |= isinstance(item.message, SessionEnd)
             match item.message:
                 case SessionStart() as opening:
                     self._began = local_clock()
                     self._attention.open(opening)
-                case MoveOnset() as move if truth := self._unanswered.pop((move.episode, move.step), None):
-                    # The truth is told before the move: by now it is known where that led.
-                    self._respond(item.stamp, truth, self._attention.size(truth, move.position))
+                case MoveOnset() as move if not self._attention.is_even:
+                    self._positions[move.episode, move.step] = move.position
+        # The two streams may bring a move's truth and where it led in either order.
+        for key in sorted(self._truths.keys() & self._positions.keys()):
+            stamp, truth = self._truths.pop(key)
+            self._respond(stamp, truth, self._attention.size(truth, self._positions.pop(key)))
 
     def _respond(self, onset: float, truth: Truth, size: float) -> None:
         if not self._participant.respond(onset, truth.error, size):

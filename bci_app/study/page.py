@@ -62,7 +62,7 @@ def _first(
     for row in rows:
         if row["group"] == tables.ALL and row["map"] == tables.ALL and row["condition"] != study.conditions[0]:
             lines.append(
-                f"{SAID[row['condition']].capitalize()}: {_steps(row)} against no ErrP, success "
+                f"{_sentence(row['condition'])}: {_steps(row)} steps against no ErrP, success "
                 f"{percent(row['success'])}."
             )
     if any(kind == "simulated" for kind in kinds):
@@ -78,7 +78,7 @@ def _first(
 def _sections(
     study: Study, maps: Sequence[str], found: Tables, rows: Sequence[Row], own: Sequence[Row]
 ) -> list[Section]:
-    shown = [_headline(rows), _published(found["headline"])]
+    shown = [_published(found["headline"]), *_headlines(rows)]
     per_person = [(SAID[condition], [_people(own, condition)]) for condition in study.conditions[1:]]
     sections = [
         Section("Steps against no ErrP", shown=shown, folded=per_person),
@@ -87,7 +87,7 @@ def _sections(
     for condition in study.conditions:
         mine = _of_condition(found, condition, maps)
         if mine:
-            sections.append(Section(f"Condition {condition}", [f"{SAID[condition].capitalize()}."], mine))
+            sections.append(Section(f"Condition {condition}", [f"{_sentence(condition)}."], mine))
     sections += [
         Section("Where verdicts are right", shown=[_where(found["where_right"])]),
         Section("Policies", shown=[_choices(found["choices"])]),
@@ -111,11 +111,21 @@ def _of_condition(found: Tables, condition: str, maps: Sequence[str]) -> list[Gr
 def _steps(row: Row) -> str:
     if row["steps_vs_none"] is None:
         return "–"
-    text = f"{words.number(100 * row['steps_vs_none'])} % steps"
+    text = f"{words.number(100 * row['steps_vs_none'])} %"
     if row["steps_vs_none_low"] is not None:
         low, high = (words.number(100 * row[f"steps_vs_none_{end}"]) for end in ("low", "high"))
         text += f" [{low}, {high}]"
-    return text
+    return _together(text)
+
+
+def _together(text: str) -> str:
+    """An interval isn't broken over lines."""
+    return text.replace(" %", "\u00a0%").replace(", ", ",\u00a0")
+
+
+def _sentence(condition: Condition) -> str:
+    """What a condition is, as the beginning of a sentence."""
+    return SAID[condition][0].upper() + SAID[condition][1:]
 
 
 def _p(value: float | None) -> str:
@@ -127,8 +137,8 @@ def _cells(row: Row) -> tuple[str, ...]:
     if row["mean_steps_low"] is not None:
         mean += f" [{words.number(row['mean_steps_low'])}, {words.number(row['mean_steps_high'])}]"
     return (
-        words.with_bounds(row, "success"),
-        mean,
+        _together(words.with_bounds(row, "success")),
+        _together(mean),
         words.number(row["mean_steps_of_successes"], 2),
         _steps(row) if row["condition"] != "none" else "–",
         _p(row["p"]) if row["condition"] != "none" else "–",
@@ -139,16 +149,23 @@ def _cells(row: Row) -> tuple[str, ...]:
 _HEAD = ("Success", "Mean steps", "Of successes", "Against no ErrP", "p (t)", "p (ranks)")
 
 
-def _headline(rows: Sequence[Row]) -> Grid:
-    lines = [
-        (f"{row['condition']}, {row['group']}", row["map"], str(row["participants"]), *_cells(row)) for row in rows
-    ]
-    note = (
-        "Success within the limit of steps, with Wilson's interval over episodes; mean steps over participants with "
-        "Student's, failed episodes with their steps. Against no ErrP: ratio of the means over participants, each "
-        "paired with themselves; paired t test, and Wilcoxon's signed-rank test. All intervals are of 95 %."
-    )
-    return Grid("Conditions", ("Condition", "Map", "n", *_HEAD), lines, note=note)
+def _headlines(rows: Sequence[Row]) -> list[Grid]:
+    """One table for each group of participants."""
+    grids = []
+    for group in dict.fromkeys(row["group"] for row in rows):
+        mine = [row for row in rows if row["group"] == group]
+        lines = [(row["condition"], row["map"], str(row["participants"]), *_cells(row)) for row in mine]
+        caption = f"Participants: {group}"
+        grids.append(Grid(caption, ("Condition", "Map", "n", *_HEAD), lines, note=_NOTE if not grids else ""))
+    return grids
+
+
+_NOTE = (
+    "Success within the limit of steps, with Wilson's interval over episodes; mean steps over participants with "
+    "Student's, failed episodes with their steps. Against no ErrP: ratio of the means over participants, each paired "
+    "with themselves; paired t test, and Wilcoxon's signed-rank test. All intervals are of 95 %. Without verdicts the "
+    "agent moves the same with everybody, for the episodes are the same: intervals are over people, for these episodes."
+)
 
 
 def _people(rows: Sequence[Row], condition: Condition) -> Grid:
@@ -162,7 +179,7 @@ def _published(rows: Sequence[Row]) -> Grid:
     quiet: list[int] = []
     for row in rows:
         ours = row["series"] == "ours"
-        if ours and row["group"] not in (tables.ALL, "of the paper"):
+        if ours and (row["group"] not in (tables.ALL, "of the paper") or row["condition"] == "none"):
             continue
         if not ours:
             quiet.append(len(lines))
