@@ -8,6 +8,7 @@ population, plays the study's own episodes with each under both conditions, and 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -24,10 +25,12 @@ from bci_app.metrics import truths
 from bci_app.progress import Progress
 from bci_app.study import alone
 from bci_app.study.conditions import choose
+from bci_app.study.parts import CALIBRATION, Kept
 from bci_app.study.plan import Condition, Participant, Study
 from bci_app.told import Told
 from decoder.calibration import wilson
 from decoder.evidence import Evidence
+from decoder.model import load
 from policy import checkpoint
 from policy.ear import Ear
 from policy.evaluation import NetworkPlayer, play
@@ -157,9 +160,14 @@ def steps_of(study_json: str, name: str) -> dict[str, Array]:
 
 
 def hear(study: Study, who: Participant, config: Config) -> Heard:
-    """Calibrate, and have the decoder judge another hour of the same kind, with the ErrP as it is online."""
-    seed = study.run_seed(who.name, "calibration")
-    _, _, fitted = fitting.decoder_of(alone.calibrate(config, who.name, seed), who.name, config)
+    """Calibrate, unless the study has done so in one process, and have the decoder judge another hour of the same kind,
+    with the ErrP as it is online."""
+    kept = Kept.of(study, who, "one-process").parts.get(CALIBRATION)
+    if kept and Path(kept["model"]).exists():
+        fitted = load(Path(kept["model"]))
+    else:
+        seed = study.run_seed(who.name, CALIBRATION)
+        _, _, fitted = fitting.decoder_of(alone.calibrate(config, who.name, seed), who.name, config)
     recording = alone.calibrate(config, who.name, study.run_seed(who.name, "power"), model=fitted)
     known = truths(recording)
     judged = [(known[key], verdict.log_odds) for key, verdict in recording.verdicts.items()]
