@@ -8,6 +8,10 @@ process. From the recording come only what a live session owes to the moment: th
 flips, and over which samples the decoder looked at the electrodes. Everything else is made anew: episodes, EEG, truths,
 verdicts, actions. Compared are all of them, to the bit; one action that differed would lead the run elsewhere.
 
+Where the simulated amplifier heard of a move only after it had sent samples that answer it, as on a busy machine at
+high speed, the live EEG lacks part of the answer, and the session says so: those are counted as `late`, and can't be
+the same.
+
 With --recordings sessions that are there already are compared. What one process does when it is left to its own
 moments isn't the same session, for its EEG has other samples at the flips: that is an equality of distributions only.
 """
@@ -22,7 +26,7 @@ import numpy as np
 from bci_app import fitting, verbs
 from bci_app.config import Config, changed, validated
 from bci_app.errors import SetupError
-from bci_app.protocol import Action, Continued, Electrodes, Message, Truth, Verdict
+from bci_app.protocol import Action, Continued, Electrodes, Message, Note, Truth, Verdict
 from bci_app.recording import Recording, read
 from bci_app.runs import checksum, eeg_type, read_sidecar
 from bci_app.study import alone
@@ -56,7 +60,7 @@ def main() -> None:
             for path in ([each] if each.is_file() else sorted(each.rglob("*_eeg.xdf")))
         ]
     else:
-        paths = list(sessions(asked.folder, asked.sessions, asked.participants, asked.speed, asked.longest))
+        paths = sessions(asked.folder, asked.sessions, asked.participants, asked.speed, asked.longest)
     found: list[dict[str, Any]] = []
     left_out: list[str] = []
     for path in paths:
@@ -73,7 +77,14 @@ def main() -> None:
                 print(row, flush=True)
     same = sum(row["identical"] for row in found)
     total = {f"{kind.__name__}": sum(row[kind.__name__][0] for row in found) for kind in KINDS}
-    summary: dict[str, Any] = {"sessions": len(found), "identical": same, **total, "left_out": len(left_out)}
+    late = sum(bool(row["late"]) for row in found)
+    summary: dict[str, Any] = {
+        "sessions": len(found),
+        "identical": same,
+        "with_late_truths": late,
+        **total,
+        "left_out": len(left_out),
+    }
     print(json.dumps(summary | ({"rows": found, "reasons": left_out} if asked.json else {}), indent=1))
 
 
@@ -127,7 +138,8 @@ def compare(path: Path) -> dict[str, Any] | None:
     if sidecar["origin"] is None:
         return None
     again = alone.again(recording, sidecar, load(model) if model else None, policy)
-    row: dict[str, Any] = {"recording": path.name, "visit": path.parent.parent.name}
+    late = sum(note.role == "amplifier" and note.level == "error" for _, note in recording.of(Note))
+    row: dict[str, Any] = {"late": late, "recording": path.name, "visit": path.parent.parent.name}
     for kind in KINDS:
         live, made = plain(recording, kind), plain(again, kind)
         row[kind.__name__] = (len(live), sum(a == b for a, b in zip(live, made, strict=False)), len(made))
