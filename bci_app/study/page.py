@@ -151,7 +151,7 @@ _HEAD = ("Success", "Mean steps", "Of successes", "Against no ErrP", "p (t)", "p
 
 def _headlines(rows: Sequence[Row]) -> list[Grid]:
     """One table for each group of participants."""
-    grids = []
+    grids: list[Grid] = []
     for group in dict.fromkeys(row["group"] for row in rows):
         mine = [row for row in rows if row["group"] == group]
         lines = [(row["condition"], row["map"], str(row["participants"]), *_cells(row)) for row in mine]
