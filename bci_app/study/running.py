@@ -11,13 +11,14 @@ from bci_app.errors import SetupError
 from bci_app.progress import Progress
 from bci_app.report import Row
 from bci_app.study import page, tables
+from bci_app.study.apart import apart
 from bci_app.study.conduct import go_through, names_of
 from bci_app.study.parts import Kept
 from bci_app.study.plan import Participant, Study, Through
 from policy import cluster
 
 MOST_SESSIONS = 3
-"""Sessions side by side on one machine: each has nine streams, and LSL 32 ports (measured)."""
+"""Sessions side by side on one machine, unless more are asked for (one takes most of a core at speed 40)."""
 
 
 @dataclass(frozen=True)
@@ -27,11 +28,14 @@ class Job:
     study: str
     participant: str
     through: Through
+    is_beside_others: bool = False
 
 
 def attempt(job: Job) -> dict[str, Any]:
     """In a worker: all that is left to do of a participant; what is kept then. An error is that participant's, and no
     other's."""
+    if job.is_beside_others:
+        apart()
     study = Study.model_validate_json(job.study)
     who = study.participant(job.participant)
     kept = go_through(study, who, job.through, lambda what, done, of: None)
@@ -62,8 +66,10 @@ def run(
     left = [each for each in wanted if set(names_of(study, each)) - set(before[each.name].parts)]
     for who in [each for each in left if each.is_real]:
         go_through(study, who, "processes", progress)
-    jobs = [Job(study.model_dump_json(), each.name, through) for each in left if not each.is_real]
-    for number, made in enumerate(_made(jobs, _side_by_side(study, through), backend, scheduler)):
+    simulated, n = [each for each in left if not each.is_real], _side_by_side(study, through)
+    beside = through == "processes" and n > 1 and len(simulated) > 1
+    jobs = [Job(study.model_dump_json(), each.name, through, beside) for each in simulated]
+    for number, made in enumerate(_made(jobs, n, backend, scheduler)):
         _keep(study, through, made)
         progress(f"{made['head']['participant']} is through", number + 1, len(jobs))
     return summary(study, through) | {"seconds": perf_counter() - started}
