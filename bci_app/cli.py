@@ -11,7 +11,7 @@ from rich.console import Console
 from typer.core import TyperGroup
 
 from bci_app import threads  # noqa: F401  isort: skip  -- before anything loads linear algebra
-from bci_app import bids_cli, policy_cli, process_cli
+from bci_app import bids_cli, policy_cli, process_cli, study_cli
 from bci_app import config as configuration
 from bci_app.crew import beside
 from bci_app.errors import LinkLost, SetupError
@@ -425,3 +425,4 @@ def main() -> None:
 bids_cli.register(app)
 policy_cli.register(app)
 process_cli.register(app)
+study_cli.register(app)

@@ -216,6 +216,15 @@ class SimulationConfig(Section):
     """Balanced accuracy that the decoder reaches on this participant in cross-validation."""
     errp: bool = True
     """False switches the error-related potential off: verdicts must then be at chance."""
+    errp_at_edge: Probability = 1.0
+    """Size of the ErrP of moves that lead to within two cells of the wall, relative to that of others (paper, Fig. 11:
+    smaller at the edge, without a number)."""
+    errp_habituation: Annotated[float, Field(ge=0, le=1 / 3)] = 0.0
+    """Share of its size by which the ErrP shrinks with each of the second to the fourth error in a row (paper, Fig. 13:
+    it shrinks over the first four, without a number)."""
+    errp_online: Annotated[float, Field(ge=0, le=2)] = 1.0
+    """Size of the ErrP in an online run, relative to that in a calibration (paper, Table I: online accuracies are a few
+    points lower)."""
     seed: Annotated[int, Field(ge=0)] = 1
     """Who the participant is."""
     run: int = 0

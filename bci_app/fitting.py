@@ -40,11 +40,8 @@ def fit(paths: Sequence[Path], config: Config, allow_damage: bool, progress: Pro
     """
     progress("reading the recording", 0, 3)
     recording, participant = read_calibrations(paths, allow_damage)
-    progress("cutting epochs", 1, 3)
-    epochs = labelled(recording, config)
-    progress("cross-validating", 2, 3)
-    result = calibration.calibrate(epochs.features, epochs.error, config.classifier, config.chain.n_windows)
-    fitted = _model(recording, participant, epochs, result, config, " ".join(map(checksum, paths)))
+    progress("cutting epochs and cross-validating", 1, 3)
+    epochs, result, fitted = decoder_of(recording, participant, config, " ".join(map(checksum, paths)))
     figures = figures_of(epochs, result, fitted.info, config)
     # Saved last: whatever fails before leaves no decoder behind.
     target = _free_name(paths[-1])
@@ -64,10 +61,17 @@ class Analysis:
 
 def analysed(recording: Recording, participant: str, config: Config) -> Analysis:
     """All that `fit` tells, of a recording that is read, and no file of a decoder. Raises SetupError as it does."""
+    epochs, result, fitted = decoder_of(recording, participant, config)
+    return Analysis(epochs, result, figures_of(epochs, result, fitted.info, config))
+
+
+def decoder_of(
+    recording: Recording, participant: str, config: Config, sha256: str = ""
+) -> tuple["Labelled", calibration.Calibration, model.DecoderModel]:
+    """The decoder that a calibration gives, with its epochs and their cross-validation. Raises SetupError as `fit`."""
     epochs = labelled(recording, config)
     result = calibration.calibrate(epochs.features, epochs.error, config.classifier, config.chain.n_windows)
-    info = _model(recording, participant, epochs, result, config, "").info
-    return Analysis(epochs, result, figures_of(epochs, result, info, config))
+    return epochs, result, _model(recording, participant, epochs, result, config, sha256)
 
 
 def _model(

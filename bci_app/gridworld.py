@@ -19,6 +19,9 @@ N_ACTIONS = len(ACTIONS)
 STEP = ((-1, 0), (1, 0), (0, -1), (0, 1))  # (row, column) of each action
 FREE, OBSTACLE = ".", "#"
 SHIPPED_MAPS = ("open", "obstacles")
+BORDER = 2
+"""Cells from the wall that count as edge. The paper gives no number, its Fig. 10 is a drawing; the first experiment's
+maps of the gradient count as many (decided)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +75,12 @@ class GridWorld:
         for row, column in self.cells.tolist():
             rows[row][column] = FREE
         return ["".join(row) for row in rows]
+
+
+def area_of(position: tuple[int, int], height: int, width: int, border: int = BORDER) -> str:
+    """``edge`` within `border` cells of the grid's border, else ``central``."""
+    row, column = position
+    return "edge" if min(row, column, height - 1 - row, width - 1 - column) < border else "central"
 
 
 def compile_map(text: str, name: str) -> GridWorld:

@@ -14,11 +14,14 @@ from bci_app.protocol import (
     AMPLIFIER_NOTES,
     STIMULUS,
     TRUTH,
+    MoveOnset,
+    Position,
     SessionEnd,
     SessionStart,
     Truth,
     simulated_source_id,
 )
+from decoder.attention import Attention
 from decoder.background import read_background
 from decoder.montage import match_channels
 from decoder.participant import Participant, Person
@@ -73,6 +76,10 @@ class _Player:
                 f"simulation.dead names channels that this participant hasn't got: {', '.join(missing)}. It has "
                 f"{', '.join(names)}."
             )
+        self._attention = Attention(config.simulation)
+        # Of moves of which the other isn't known yet.
+        self._truths: dict[tuple[int, int], tuple[float, Truth]] = {}
+        self._positions: dict[tuple[int, int], Position] = {}
         self._noise = np.random.default_rng(config.simulation.run)
         self._photodiode = Photodiode(config, self._t0, self._participant.sfreq)
         n_eeg, others = len(names), self._photodiode.names
@@ -118,14 +125,27 @@ class _Player:
         for item in self._peer.hear(self._truth, timeout):
             if isinstance(item.message, Truth):
                 self._photodiode.jump(item.stamp)
-            match item.message:
-                case Truth(error=error) as truth if not self._participant.respond(item.stamp, error):
-                    text = f"The truth of episode {truth.episode}, step {truth.step} came after its samples were sent."
-                    self._peer.note("error", text)
+                if self._attention.is_even:
+                    self._respond(item.stamp, item.message, 1.0)
+                else:
+                    self._truths[item.message.episode, item.message.step] = item.stamp, item.message
         for item in self._peer.hear(self._stimulus) if self._stimulus else ():
             self.ended |= isinstance(item.message, SessionEnd)
-            if isinstance(item.message, SessionStart):
-                self._began = local_clock()
+            match item.message:
+                case SessionStart() as opening:
+                    self._began = local_clock()
+                    self._attention.open(opening)
+                case MoveOnset() as move if not self._attention.is_even:
+                    self._positions[move.episode, move.step] = move.position
+        # The two streams may bring a move's truth and where it led in either order.
+        for key in sorted(self._truths.keys() & self._positions.keys()):
+            stamp, truth = self._truths.pop(key)
+            self._respond(stamp, truth, self._attention.size(truth, self._positions.pop(key)))
+
+    def _respond(self, onset: float, truth: Truth, size: float) -> None:
+        if not self._participant.respond(onset, truth.error, size):
+            text = f"The truth of episode {truth.episode}, step {truth.step} came after its samples were sent."
+            self._peer.note("error", text)
 
     def _n_acquired(self) -> int:
         """Samples acquired up to now less the amplifier's own delay."""

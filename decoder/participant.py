@@ -99,14 +99,14 @@ class Person(ABC):
         """Channel names."""
         return self._background.names
 
-    def respond(self, onset: float, error: bool) -> bool:
-        """Answer a move at session time `onset`.
+    def respond(self, onset: float, error: bool, size: float = 1.0) -> bool:
+        """Answer a move at session time `onset`, an error by an ErrP of a `size` relative to the person's own.
 
         False when samples that belong to the answer have been rendered already: the move was told too late.
         """
         number = self._n_moves[error]
         self._n_moves[error] += 1
-        answer = self._answer(onset - self._t0, error, number)
+        answer = self._answer(onset - self._t0, error, number, size)
         insort(self._answers, answer, key=lambda other: other.first)
         return answer.first >= self._rendered
 
@@ -138,7 +138,7 @@ class Person(ABC):
         return self._recent[key]
 
     @abstractmethod
-    def _answer(self, onset: float, error: bool, number: int) -> Answer:
+    def _answer(self, onset: float, error: bool, number: int, size: float) -> Answer:
         """The answer to a class's move `number`, at `onset` s after sample 0, all of it within `RESPONSE_S`."""
 
 
@@ -184,9 +184,9 @@ class Participant(Person):
         errp_map = bump(where, (rng.normal(0, 0.05), 0.6 + rng.normal(0, 0.1), 0.85), 0.55)
         self._maps = np.stack([errp_map, bump(where, (0, -1, 0.1), 0.45), bump(where, (0, -0.5, 0.9), 0.6)])
 
-    def _answer(self, onset: float, error: bool, number: int) -> Answer:
+    def _answer(self, onset: float, error: bool, number: int, size: float) -> Answer:
         rng = np.random.default_rng([self._moment, 4, int(error), number])
-        gain = GAIN_UV * stratified_normal(self._moment, int(error), number) + (self._mean_uv if error else 0.0)
+        gain = GAIN_UV * stratified_normal(self._moment, int(error), number) + (size * self._mean_uv if error else 0.0)
         visual, late = rng.normal(1, 0.15, 2)
         first = ceil((onset + RESPONSE_S[0]) * self.sfreq)
         last = floor((onset + RESPONSE_S[1]) * self.sfreq)

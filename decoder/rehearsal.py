@@ -232,12 +232,13 @@ class Rehearsed(Person):
         self._likeness = likeness if errp else replace(likeness, scale=0.0)
         self._maps = np.concatenate((likeness.maps, likeness.errp_maps))
 
-    def _answer(self, onset: float, error: bool, number: int) -> Answer:
+    def _answer(self, onset: float, error: bool, number: int, size: float) -> Answer:
         own = self._likeness
-        size = own.spread * stratified_normal(self._moment, int(error), number) + (own.scale if error else 0.0)
+        mean = size * own.scale if error else 0.0
+        errp = own.spread * stratified_normal(self._moment, int(error), number) + mean
         # Nearest sample, as for the epochs that it was learnt from.
         first = round(onset * self.sfreq) + round(RESPONSE_S[0] * self.sfreq)
-        return Answer(first, np.concatenate((own.courses, size * own.errp_courses)), self._maps)
+        return Answer(first, np.concatenate((own.courses, errp * own.errp_courses)), self._maps)
 
 
 def _trials(

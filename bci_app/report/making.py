@@ -75,9 +75,7 @@ def write_report(folder: Path, tables: Tables, figures: Sequence[Mapping[str, An
             drawn = draw()
             if drawn is not None:
                 written[name] = write(name, drawn, folder / "figures")
-        for name, rows in tables.items():
-            if rows:
-                _write_table(folder / "tables" / name, rows)
+        write_tables(folder / "tables", tables)
         summary = json.dumps({"sessions": list(figures)}, indent=2)
         (folder / "report.json").write_text(summary + "\n", encoding="utf-8")
         text = page.render(
@@ -97,6 +95,13 @@ def _folder(out: Path | None, files: Sequence[Path], wanted: Sequence[sources.Vi
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise SetupError(f"{out} is there already, and nothing is overwritten. Name a new folder with --out.")
     return out
+
+
+def write_tables(folder: Path, tables: Tables) -> None:
+    """Each table that has rows as CSV and JSON, into a folder that is there."""
+    for name, rows in tables.items():
+        if rows:
+            _write_table(folder / name, rows)
 
 
 def _write_table(stem: Path, rows: Sequence[Row]) -> None:

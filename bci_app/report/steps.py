@@ -3,20 +3,12 @@
 from collections.abc import Sequence
 
 from bci_app.gridworld import ACTIONS, STEP
+from bci_app.gridworld import BORDER as BORDER
+from bci_app.gridworld import area_of as area_of
 from bci_app.metrics import truths
 from bci_app.protocol import EpisodeEnd, EpisodeGoal, EpisodeStart, MoveOnset, SessionStart, Truth
 from bci_app.recording import Recording
 from bci_app.report import Row
-
-BORDER = 2
-"""Cells from the wall that count as edge. The paper gives no number, its Fig. 10 is a drawing; the first experiment's
-maps of the gradient count as many (decided)."""
-
-
-def area_of(position: tuple[int, int], height: int, width: int, border: int = BORDER) -> str:
-    """``edge`` within `border` cells of the grid's border, else ``central``."""
-    row, column = position
-    return "edge" if min(row, column, height - 1 - row, width - 1 - column) < border else "central"
 
 
 def move_rows(recording: Recording) -> list[Row]:

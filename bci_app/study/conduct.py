@@ -1,0 +1,137 @@
+"""One participant through all parts of a study, whatever the way: calibration, decoder, and each condition on each map.
+
+What is done is kept and not made again. Conditions have visits of their own, for a participant may come for each.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from bci_app import fitting
+from bci_app.config import Config, changed
+from bci_app.errors import LinkLost, SetupError
+from bci_app.gridworld import load_map
+from bci_app.progress import Progress
+from bci_app.rehearsing import likeness_of
+from bci_app.runs import checksum
+from bci_app.study.conditions import choose, coin
+from bci_app.study.parts import CALIBRATION, Kept, of_calibration, of_online, part_name
+from bci_app.study.plan import Condition, Participant, Study, Through
+from bci_app.study.ways import InOneProcess, Stopped, ThroughProcesses, Way
+from decoder import model, rehearsal_file
+
+MUTE = "calibration mute"
+"""The calibration of a participant without an ErrP."""
+
+
+def go_through(study: Study, who: Participant, through: Through, progress: Progress) -> Kept:
+    """Make all parts that aren't done yet.
+
+    A part that fails, and a participant who stops, end it: that is kept, with the reason. Raises SetupError for what
+    is wrong with what is kept; KeyboardInterrupt passes through, and a person's part is then kept as stopped.
+    """
+    kept = Kept.of(study, who, through)
+    kept.stopped = {}
+    way: Way = InOneProcess() if through == "one-process" else ThroughProcesses(not who.is_real, study.speed, progress)
+    conducted = _Conducted(study, who, way, kept)
+    try:
+        conducted.all()
+    except (SetupError, LinkLost, Stopped) as error:
+        kept.stop(conducted.part, str(error))
+    except KeyboardInterrupt:
+        if who.is_real:
+            kept.stop(conducted.part, "interrupted by Ctrl-C")
+        raise
+    return kept
+
+
+def names_of(study: Study, who: Participant) -> list[str]:
+    """The parts of a participant, in order."""
+    runs = [part_name(condition, name) for condition, name in study.schedule(who)]
+    return [CALIBRATION, *([MUTE] if "mute" in study.conditions else []), *runs]
+
+
+@dataclass
+class _Conducted:
+    study: Study
+    who: Participant
+    way: Way
+    kept: Kept
+    part: str = CALIBRATION
+
+    def all(self) -> None:
+        config = self._config()
+        self._calibrate(CALIBRATION, config, "CAL")
+        mute = changed(config, {"simulation": {"errp": False}})
+        if "mute" in self.study.conditions:
+            self._calibrate(MUTE, mute, "MUTE")
+        for condition, map_name in self.study.schedule(self.who):
+            self.part = part_name(condition, map_name)
+            if self.part not in self.kept.parts:
+                self._online(condition, map_name, mute if condition == "mute" else config)
+
+    def _config(self) -> Config:
+        config = self.study.settings(self.who)
+        if self.who.recording is None:
+            return config
+        return changed(config, {"simulation": {"rehearse": str(_person(self.study, self.who, config))}})
+
+    def _calibrate(self, part: str, config: Config, visit: str) -> None:
+        self.part = part
+        seed = self.study.run_seed(self.who.name, part)
+        target = self._decoder(part)
+        wanted = {target}
+        if part == CALIBRATION and "coin" in self.study.conditions:
+            wanted.add(self._decoder("coin"))
+        missing = {path for path in wanted if not path.exists()}
+        if part in self.kept.parts and not missing:
+            return
+        if part not in self.kept.parts and part not in self.kept.recorded:
+            self.kept.recorded[part] = self.way.calibrate(config, self.who.name, visit, seed)
+            self.kept.save()
+        path = self.kept.recorded.get(part) or self.kept.parts.get(part, {}).get("recording", "")
+        if missing:
+            self._fit(config, seed, path, missing)
+        self.kept.done(part, of_calibration(model.load(target).info, target, path))
+
+    def _fit(self, config: Config, seed: int, path: str, missing: set[Path]) -> None:
+        """Make the files of the decoder and of its coin, as far as they are missing."""
+        recording = self.way.recording(config, self.who.name, seed, path)
+        sha256 = checksum(Path(path)) if path else ""
+        epochs, result, fitted = fitting.decoder_of(recording, self.who.name, config, sha256)
+        for target in missing:
+            is_coin = target == self._decoder("coin")
+            target.parent.mkdir(parents=True, exist_ok=True)
+            tossing = (
+                coin(fitted, result, epochs.features, epochs.error, config.classifier, seed) if is_coin else fitted
+            )
+            model.save(tossing, target)
+
+    def _online(self, condition: Condition, map_name: str, config: Config) -> None:
+        part = {"coin": "coin", "mute": MUTE}.get(condition, CALIBRATION)
+        decoder = self._decoder(part)
+        world = load_map(map_name)
+        info = model.load(decoder).info
+        choice = choose(condition, info, config.policy, self.study.papers_gate, world)
+        seed = self.study.run_seed(self.who.name, self.part)
+        recording, path = self.way.online(config, self.who.name, condition.upper(), seed, map_name, decoder, choice)
+        said = {"condition": condition, "map": world.name, "policy": choice.name, "why": choice.reason}
+        self.kept.done(self.part, said | {"listens": choice.listens} | of_online(recording, path))
+
+    def _decoder(self, part: str) -> Path:
+        ending = "" if part == CALIBRATION else f"_{part.removeprefix('calibration ')}"
+        name = f"{self.who.name}{ending}_decoder{model.SUFFIX}"
+        return self.kept.path.parent / "decoders" / name
+
+
+def _person(study: Study, who: Participant, config: Config) -> Path:
+    """The person's file of a rehearsed participant, learnt from the recording where it isn't there yet."""
+    recording = Path(who.recording or "")
+    if recording.suffix == model.SUFFIX:
+        return recording
+    path = (study.home / "persons" / f"{who.name}_person{model.SUFFIX}").absolute()
+    if not path.exists():
+        found, person = fitting.read_calibration(recording, allow_damage=False)
+        likeness, _ = likeness_of(found, config, lambda what, done, of: None)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        rehearsal_file.save(likeness, path, person, checksum(recording))
+    return path

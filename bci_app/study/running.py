@@ -1,0 +1,189 @@
+"""`bci-app study`: participants side by side, as far as the cores or a cluster allow, then the report."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import joblib
+
+from bci_app.errors import SetupError
+from bci_app.progress import Progress
+from bci_app.report import Row
+from bci_app.study import page, tables
+from bci_app.study.apart import apart
+from bci_app.study.conduct import go_through, names_of
+from bci_app.study.parts import Kept
+from bci_app.study.plan import Participant, Study, Through
+from policy import cluster
+
+MOST_SESSIONS = 3
+"""Sessions side by side on one machine, unless more are asked for (one takes most of a core at speed 40)."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One simulated participant, for a worker: plain values only, so that any machine can take it."""
+
+    study: str
+    participant: str
+    through: Through
+    is_beside_others: bool = False
+
+
+def attempt(job: Job) -> dict[str, Any]:
+    """In a worker: all that is left to do of a participant; what is kept then. An error is that participant's, and no
+    other's."""
+    if job.is_beside_others:
+        apart()
+    study = Study.model_validate_json(job.study)
+    who = study.participant(job.participant)
+    kept = go_through(study, who, job.through, lambda what, done, of: None)
+    return {"head": kept.head, "parts": kept.parts, "stopped": kept.stopped}
+
+
+def run(
+    study: Study,
+    through: Through,
+    person: str | None,
+    backend: str,
+    scheduler: str | None,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Make what is left to do of a study, then its report.
+
+    Parameters
+    ----------
+    person : the one participant to conduct; a real one is conducted only if named. None for all simulated ones.
+    backend, scheduler : ``local``, or ``dask`` at an address. A cluster's machines must share the study's folder, or
+        the work is done there and kept here part by part only once a participant is through.
+
+    Returns what `summary` tells. Raises SetupError for what is kept of another study.
+    """
+    started = perf_counter()
+    wanted = [study.participant(person)] if person else [each for each in study.participants if not each.is_real]
+    before = {each.name: Kept.of(study, each, _through(each, through)) for each in study.participants}
+    left = [each for each in wanted if set(names_of(study, each)) - set(before[each.name].parts)]
+    for who in [each for each in left if each.is_real]:
+        go_through(study, who, "processes", progress)
+    simulated, n = [each for each in left if not each.is_real], _side_by_side(study, through)
+    beside = through == "processes" and n > 1 and len(simulated) > 1
+    jobs = [Job(study.model_dump_json(), each.name, through, beside) for each in simulated]
+    for number, made in enumerate(_made(jobs, n, backend, scheduler)):
+        _keep(study, through, made)
+        progress(f"{made['head']['participant']} is through", number + 1, len(jobs))
+    return summary(study, through) | {"seconds": perf_counter() - started}
+
+
+def _through(who: Participant, through: Through) -> Through:
+    """People go through the real processes."""
+    return "processes" if who.is_real else through
+
+
+def _side_by_side(study: Study, through: Through) -> int:
+    cores = int(joblib.cpu_count())
+    if study.side_by_side:
+        return study.side_by_side
+    return min(MOST_SESSIONS, cores) if through == "processes" else cores
+
+
+def _made(jobs: Sequence[Job], n: int, backend: str, scheduler: str | None) -> Iterator[dict[str, Any]]:
+    if backend == "dask":
+        with cluster.connected(scheduler) as client:
+            for _, made in cluster.results(client, attempt, jobs):
+                if isinstance(made, SetupError):
+                    raise made
+                yield made
+        return
+    if n == 1 or len(jobs) == 1:
+        yield from map(attempt, jobs)
+        return
+    parallel = joblib.Parallel(n_jobs=n, batch_size=1, return_as="generator_unordered", backend="loky")
+    yield from parallel(joblib.delayed(attempt)(job) for job in jobs)
+
+
+def _keep(study: Study, through: Through, made: dict[str, Any]) -> None:
+    """What another machine has made, which this one's folder may not have."""
+    kept = Kept.of(study, study.participant(made["head"]["participant"]), through)
+    if set(made["parts"]) - set(kept.parts):
+        kept.parts, kept.stopped = made["parts"], made["stopped"]
+        kept.save()
+
+
+def people_of(study: Study, through: Through) -> list[tables.Person]:
+    """What is kept of each participant, in the study's order."""
+    found: list[tables.Person] = []
+    for who in study.participants:
+        kept = Kept.of(study, who, _through(who, through))
+        found.append({**kept.head, "parts": kept.parts, "stopped": kept.stopped})
+    return found
+
+
+def summary(study: Study, through: Through) -> dict[str, Any]:
+    """The report, written, and in plain numbers: `conditions` and `participants` by condition and map, `unfinished`,
+    `report`."""
+    people = people_of(study, through)
+    maps = tables.maps_of(study.maps)
+    wanted = {who.name: names_of(study, who) for who in study.participants}
+    lacking = tables.unfinished(people, wanted)
+    real = [who.name for who in study.participants if who.is_real]
+    to_come = [row["participant"] for row in lacking if row["participant"] in real and "yet" in row["why"]]
+    rows = tables.headline(people, study.conditions, maps, study.papers_gate)
+    own = tables.by_participant(people, study.conditions, maps)
+    report = page.write(study, through, people, rows, own, lacking) if rows else None
+    return {
+        "study": study.name,
+        "through": through,
+        "conditions": _nested([row for row in rows if row["group"] == tables.ALL]),
+        "below_the_gate": _nested([row for row in rows if row["group"] == "below the paper's gate"]),
+        "participants": {
+            name: _nested([row for row in own if row["participant"] == name])
+            for name in dict.fromkeys(row["participant"] for row in own)
+        },
+        "unfinished": lacking,
+        "to_come": to_come,
+        "report": str(report) if report else None,
+    }
+
+
+KEYS = (
+    "participants",
+    "n_episodes",
+    "success",
+    "success_low",
+    "success_high",
+    "mean_steps",
+    "mean_steps_low",
+    "mean_steps_high",
+    "steps_vs_none",
+    "steps_vs_none_low",
+    "steps_vs_none_high",
+    "p",
+    "p_ranks",
+)
+"""What is told of a condition on a map; the first without `low` and `high` are the contract."""
+
+
+def _nested(rows: Sequence[Row]) -> dict[str, dict[str, Row]]:
+    found: dict[str, dict[str, Row]] = {}
+    for row in rows:
+        own = {name: row[name] for name in KEYS if name != "participants"}
+        found.setdefault(row["condition"], {})[row["map"]] = {"participants": row["participants"], **own}
+    return found
+
+
+def show(result: dict[str, Any], tell: Callable[[str], None]) -> None:
+    """The result in words."""
+    for condition, by_map in result["conditions"].items():
+        for name, row in by_map.items():
+            steps = row["steps_vs_none"]
+            against = "" if steps is None or condition == "none" else f", {100 * steps:+.1f} % against none"
+            if against and row["p"] is not None:
+                low, high = (100 * row[f"steps_vs_none_{end}"] for end in ("low", "high"))
+                against += f" [{low:+.1f}, {high:+.1f}], p {row['p']:.2g}"
+            who = f"{row['participants']} participants"
+            tell(f"{condition}, {name}: success {row['success']:.1%}, {row['mean_steps']:.2f} steps{against} ({who})")
+    for row in result["unfinished"]:
+        tell(f"{row['participant']}: {row['why']}; lacks {row['lacks']}")
+    if result["report"]:
+        tell(f"Report: {result['report']}")

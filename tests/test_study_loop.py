@@ -1,0 +1,187 @@
+"""The loop in one process, a study through it, and that loop against the one over LSL."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import Cli
+
+from bci_app import fitting
+from bci_app.config import Config, SimulationConfig, changed
+from bci_app.errors import SetupError
+from bci_app.gridworld import load_map
+from bci_app.metrics import truths
+from bci_app.protocol import Action, Electrodes, EpisodeEnd, EpisodeGoal, SessionEnd, SessionStart, Truth, Verdict
+from bci_app.recording import Recording, read
+from bci_app.runs import read_sidecar
+from bci_app.study import alone, plan, running
+from bci_app.study.conduct import names_of
+from bci_app.study.parts import Kept
+from decoder.attention import Attention
+from decoder.model import DecoderModel, save
+from policy import checkpoint
+
+OPEN = load_map("open")
+SMALL = {
+    "stimulus": {"headless": True},
+    "calibration": {"n_blocks": 1, "moves_per_block": 60},
+    "online": {"distances": [2, 4]},
+    "classifier": {"n_folds": 2, "min_per_class": 5},
+    "simulation": {
+        "sfreq": 256.0,
+        "decodability": 0.9,
+        "errp_at_edge": 0.8,
+        "errp_habituation": 0.1,
+        "errp_online": 0.9,
+    },
+}
+CONFIG = changed(Config(), SMALL)
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Recording:
+    return alone.calibrate(CONFIG, "P1", seed=3)
+
+
+@pytest.fixture(scope="module")
+def decoder(calibration: Recording) -> DecoderModel:
+    return fitting.decoder_of(calibration, "P1", CONFIG)[2]
+
+
+def test_a_calibration_is_whole(calibration: Recording, decoder: DecoderModel) -> None:
+    assert [end.reason for _, end in calibration.of(SessionEnd)] == ["complete"]
+    assert {verdict.outcome for _, verdict in calibration.of(Verdict)} == {"unjudged"}
+    assert len(calibration.of(Truth)) == 60
+    onsets = [stamp for stamp, _ in calibration.of(Truth)]
+    assert min(np.diff(onsets)) == pytest.approx(3.0)
+    assert decoder.info.n_rejected == 0
+
+
+def test_an_online_run_is_the_same_each_time_and_ends_at_the_goals(decoder: DecoderModel) -> None:
+    card = checkpoint.choose_told(OPEN)
+    assert card.path is not None
+    told = str(decoder.info.evidence.told)
+    runs = [alone.online(CONFIG, "P1", 5, OPEN, decoder, card.path, told) for _ in range(2)]
+    assert plain(runs[0]) == plain(runs[1])
+    assert sorted(goal.distance for _, goal in runs[0].of(EpisodeGoal)) == [2, 3, 4]
+    assert len(runs[0].of(Verdict)) == len(runs[0].of(Truth))
+    # One action a move: the last of an episode is answered by none, its first is before any verdict.
+    assert len(runs[0].of(Action)) == len(runs[0].of(Truth))
+    assert {end.reason for _, end in runs[0].of(EpisodeEnd)} <= {"goal", "limit"}
+
+
+def test_who_hears_no_verdicts_moves_the_same_without_eeg(decoder: DecoderModel) -> None:
+    card = checkpoint.choose_without(OPEN)
+    assert card.path is not None
+    silent = alone.online(CONFIG, "P1", 5, OPEN, None, card.path, None)
+    judged = alone.online(CONFIG, "P1", 5, OPEN, decoder, card.path, None)
+    assert [a.action for _, a in silent.of(Action)] == [a.action for _, a in judged.of(Action)]
+    assert not silent.of(Verdict)
+
+
+def test_a_decoder_is_judged_on_another_hour(decoder: DecoderModel) -> None:
+    another = alone.calibrate(CONFIG, "P1", 9, model=decoder)
+    known = truths(another)
+    right = [(verdict.log_odds or 0) > 0 for verdict in another.verdicts.values()]
+    assert len(right) == 60
+    assert np.mean(np.array(right) == list(known.values())) > 0.6
+
+
+def test_attention_fades_at_the_edge_after_errors_and_online() -> None:
+    config = SimulationConfig(errp_at_edge=0.5, errp_habituation=0.2, errp_online=0.9)
+    layout = tuple("." * 11 for _ in range(11))
+    opening = SessionStart(session="s", task="online", participant="P1", map="open", layout=layout, n_episodes=1)
+    attention = Attention(config)
+    attention.open(opening)
+    truth = Truth(session="s", episode=0, step=1, error=True, distance=3)
+    sizes = [attention.size(truth, (5, 5)) for _ in range(6)]
+    assert sizes == pytest.approx([0.9, 0.72, 0.54, 0.36, 0.36, 0.36])
+    assert attention.size(truth.model_copy(update={"error": False}), (5, 5)) == pytest.approx(0.9)
+    assert attention.size(truth, (0, 5)) == pytest.approx(0.45)
+    assert Attention(SimulationConfig()).is_even
+    assert not attention.is_even
+
+
+def small_study(folder: Path, **changes: Any) -> plan.Study:
+    values: dict[str, Any] = {
+        "name": "small",
+        "folder": str(folder),
+        "through": "one-process",
+        "conditions": list(plan.CONDITIONS),
+        "maps": ["open"],
+        "config": SMALL,
+        "participants": [{"name": "P1", "seed": 2, "published": "S2"}],
+    }
+    return plan.parse(values | changes, "small")
+
+
+def test_a_study_in_one_process_is_kept_and_shown_and_goes_on(tmp_path: Path) -> None:
+    study = small_study(tmp_path, conditions=["none", "ours"])
+    told = running.run(study, "one-process", None, "local", None, lambda what, done, of: None)
+    assert set(told["conditions"]) == {"none", "ours"}
+    row = told["conditions"]["ours"]["open"]
+    assert {"participants", "success", "mean_steps", "steps_vs_none"} <= set(row)
+    assert row["participants"] == 1
+    assert told["participants"]["P1"]["ours"]["open"]["success"] == row["success"]
+    assert told["unfinished"] == []
+    page = Path(told["report"])
+    assert "Beside the paper" in page.read_text(encoding="utf-8")
+    assert (page.parent / "tables" / "table_2_ours.csv").exists()
+    # With more conditions it goes on: what is done isn't made again, and the control gets its decoder.
+    before = Kept.of(study, study.participants[0], "one-process").parts
+    more = small_study(tmp_path)
+    running.run(more, "one-process", None, "local", None, lambda what, done, of: None)
+    kept = Kept.of(more, more.participants[0], "one-process")
+    assert set(kept.parts) == set(names_of(more, more.participants[0]))
+    assert {name: kept.parts[name] for name in before} == before
+    assert kept.stopped == {}
+
+
+def test_what_is_kept_of_another_study_is_refused(tmp_path: Path) -> None:
+    study = small_study(tmp_path)
+    Kept.of(study, study.participants[0], "one-process").save()
+    other = small_study(tmp_path, seed=7)
+    with pytest.raises(SetupError, match="was begun with other settings than the study file has now"):
+        running.run(other, "one-process", None, "local", None, lambda what, done, of: None)
+    path = tmp_path / "one-process" / "P1.json"
+    path.write_text("{", encoding="utf-8")
+    with pytest.raises(SetupError, match="can't be read"):
+        Kept.of(study, study.participants[0], "one-process")
+
+
+def test_a_part_that_fails_is_told_and_costs_nobody_else(tmp_path: Path) -> None:
+    few = {**SMALL, "classifier": {"n_folds": 2, "min_per_class": 50}}
+    study = small_study(tmp_path, config=few, conditions=["none"])
+    told = running.run(study, "one-process", None, "local", None, lambda what, done, of: None)
+    assert told["report"] is None
+    assert "stopped in calibration: A decoder needs at least 50" in told["unfinished"][0]["why"]
+
+
+def test_the_loop_over_lsl_and_that_in_one_process_do_the_same(decoder: DecoderModel, tmp_path: Path, cli: Cli) -> None:
+    """With a live session's flips and looks, all else is made anew: EEG, truths, verdicts, actions, to the bit."""
+    config = tmp_path / "config.json"
+    mine = changed(CONFIG, {"recordings": str(tmp_path / "recordings"), "online": {"distances": [2, 3]}})
+    config.write_text(mine.model_dump_json(), encoding="utf-8")
+    model = tmp_path / "P1_decoder.safetensors"
+    save(decoder, model)
+    words = ("--model", model, "--policy", "told", "--config", config, "--seed", 11, "--speed", 20, "--json")
+    done = cli("online", "--participant", "P1", "--map", "open", "--simulate", *words)
+    assert done.returncode == 0, done.stderr
+    path = Path(json.loads(done.stdout)["recording"])
+    recording, sidecar = read(path), read_sidecar(path)
+    policy = Path(sidecar["policy"]["path"])
+    again = alone.again(recording, sidecar, decoder, policy)
+    assert len(recording.of(Action)) > 0
+    assert plain(again) == plain(recording)
+
+
+def plain(recording: Recording) -> list[dict[str, Any]]:
+    """What two runs have in common if they are the same: not when things were said, nor in which session."""
+    exclude = {"latency_ms", "protocol", "session"}
+    return [
+        message.model_dump(exclude=exclude)
+        for kind in (Electrodes, Verdict, Action, Truth)
+        for _, message in recording.of(kind)
+    ]
