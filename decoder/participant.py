@@ -129,7 +129,10 @@ class Person(ABC):
     def forget(self, before: int) -> None:
         """Answers that end before sample number `before` won't be rendered again: sessions may last all day."""
         longest = ceil((RESPONSE_S[1] - RESPONSE_S[0]) * self.sfreq) + 1
-        del self._answers[: bisect_left(self._answers, before - longest, key=lambda answer: answer.first)]
+        n_over = bisect_left(self._answers, before - longest, key=lambda answer: answer.first)
+        for answer in self._answers[:n_over]:
+            self._recent.pop(id(answer), None)  # another may get its id
+        del self._answers[:n_over]
 
     def _mixed(self, answer: Answer) -> Array:
         key = id(answer)
