@@ -46,6 +46,7 @@ distances = [2, 6]
 [simulation]
 dead = ["C3"]
 photodiode_ms = 37
+delay_s = 0.1
 """
 
 
