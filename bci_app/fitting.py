@@ -17,9 +17,8 @@ from bci_app.metrics import truths
 from bci_app.moves import Key, Move, cut_moves, electrodes, judges
 from bci_app.ocular import Learnt, learn, sources
 from bci_app.progress import Progress
-from bci_app.protocol import SessionStart
-from bci_app.recording import Recording, read
-from bci_app.runs import check_untouched, checksum, eeg_type, read_sidecar
+from bci_app.recording import Recording, read, read_run
+from bci_app.runs import checksum
 from decoder import calibration, learning_curve, model
 from decoder.chain import design
 from decoder.epochs import Epoch, Rejection
@@ -134,17 +133,11 @@ def read_calibrations(paths: Sequence[Path], allow_damage: bool) -> tuple[Record
 
 def read_calibration(path: Path, allow_damage: bool) -> tuple[Recording, str]:
     """A recorded calibration and the participant's name. Raises SetupError when it is unusable, or another task's."""
-    sidecar = read_sidecar(path)
-    recording = read(path, allow_damage, eeg_type(sidecar))
-    if not allow_damage:
-        check_untouched(path, sidecar)
+    recording, opening, _ = read_run(path, allow_damage)
     recording.eeg.check()
-    opening = recording.of(SessionStart)
-    if not opening:
-        raise SetupError(f"{path} holds no SessionStart message: it isn't a whole run of this experiment.")
-    if opening[0][1].task != "calibration":
-        raise SetupError(f"{path} is an {opening[0][1].task} run; a decoder is fitted on a calibration. Give that one.")
-    return recording, opening[0][1].participant
+    if opening.task != "calibration":
+        raise SetupError(f"{path} is an {opening.task} run; a decoder is fitted on a calibration. Give that one.")
+    return recording, opening.participant
 
 
 def _used(channels: list[str], eyes: Eyes | None) -> list[str]:

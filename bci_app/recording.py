@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from bci_app.eeg import EegDescription
 from bci_app.errors import SetupError
-from bci_app.protocol import MARKERS, STREAMS, BadMessage, Message, Recall, SessionEnd, Verdict, decode
-from bci_app.runs import known_of
+from bci_app.protocol import MARKERS, STREAMS, BadMessage, Message, Recall, SessionEnd, SessionStart, Verdict, decode
+from bci_app.runs import check_untouched, eeg_type, known_of, read_sidecar
 from bci_app.said import without_void
 from bci_app.xdf import MAGIC, salvage
 
@@ -90,6 +90,22 @@ def read(path: Path, allow_damage: bool = False, eeg_type: str = "EEG") -> Recor
     samples = np.asarray(stream["time_series"])
     times = np.asarray(stream["time_stamps"], dtype=np.float64)
     return Recording(path, describe(stream["info"]), samples, times, messages, tuple(damage), _markers(streams))
+
+
+def read_run(path: Path, allow_damage: bool) -> tuple[Recording, SessionStart, dict[str, Any]]:
+    """A recorded run as it was closed, how it began, and its sidecar.
+
+    Raises SetupError as `read` does, for a file that isn't the one that was closed, unless `allow_damage`, and for one
+    without a beginning.
+    """
+    sidecar = read_sidecar(path)
+    recording = read(path, allow_damage, eeg_type(sidecar))
+    if not allow_damage:
+        check_untouched(path, sidecar)
+    opening = recording.of(SessionStart)
+    if not opening:
+        raise SetupError(f"{path} holds no SessionStart message: it isn't a whole run of this experiment.")
+    return recording, opening[0][1], sidecar
 
 
 def _load(path: Path) -> tuple[list[dict[str, Any]], list[str]]:

@@ -17,8 +17,8 @@ from bci_app.gridworld import GridWorld, compile_map
 from bci_app.moves import cut_moves, electrodes, judges
 from bci_app.progress import Progress
 from bci_app.protocol import Action, Electrodes, EpisodeEnd, EpisodeStart, MoveOnset, SessionStart, Verdict
-from bci_app.recording import Recording, read
-from bci_app.runs import check_untouched, checksum, eeg_type, read_sidecar
+from bci_app.recording import Recording, read_run
+from bci_app.runs import checksum
 from bci_app.told import Told
 
 Key = tuple[int, int]
@@ -57,22 +57,16 @@ def replay(
     """
     started = perf_counter()
     progress("reading the recording", 0, 3)
-    sidecar = read_sidecar(path)
-    recording = read(path, allow_damage, eeg_type(sidecar))
-    if not allow_damage:
-        check_untouched(path, sidecar)
-    opening = recording.of(SessionStart)
-    if not opening:
-        raise SetupError(f"{path} holds no SessionStart message: it isn't a whole run of this experiment.")
+    recording, opening, sidecar = read_run(path, allow_damage)
     progress("replaying verdicts", 1, 3)
     config = validated(sidecar.get("config", {}), f"the sidecar of {recording.path}")
     decisions = list(_electrodes(recording))
     all_verdicts = list(_verdicts(recording, sidecar, config, model, decisions))
     verdicts = [pair for pair in all_verdicts if pair.must_be_equal]
     progress("replaying actions", 2, 3)
-    is_online = opening[0][1].task == "online"
+    is_online = opening.task == "online"
     told = sidecar.get("told") or _told_by(_file_of_run(path, sidecar, "model", model))
-    actions = list(_actions(recording, sidecar, policy, told, opening[0][1], all_verdicts)) if is_online else []
+    actions = list(_actions(recording, sidecar, policy, told, opening, all_verdicts)) if is_online else []
     progress("done", 3, 3)
     differences = [_sentence(pair) for pair in chain(decisions, verdicts, actions) if not pair.equal]
     return {

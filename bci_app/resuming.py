@@ -43,8 +43,6 @@ def find(config: Config, participant: str, visit: str, task: str) -> Stopped:
             "with. Leave out --resume."
         )
     sidecar = read_sidecar(run.xdf)
-    if not run.xdf.exists():
-        raise SetupError(f"{run.xdf} was never recorded: there is nothing to go on with. Leave out --resume.")
     recording = read(run.xdf, allow_damage=True, eeg_type=eeg_type(sidecar))
     if any(end.reason == "complete" for _, end in recording.of(SessionEnd)):
         raise SetupError(f"{run.xdf} is complete: there is nothing to go on with. Leave out --resume.")

@@ -39,7 +39,7 @@ from bci_app.protocol import (
     Role,
 )
 from bci_app.recorder import Recorder
-from bci_app.runs import checksum, free_reserve, reserve, write_sidecar
+from bci_app.runs import free_reserve, reserve, write_sidecar
 from bci_app.supervisor import STREAM_OF, Supervisor
 from bci_app.verifying import verify
 from bci_app.vigil import GROW_TIMEOUT_S, Vigil
@@ -119,7 +119,7 @@ class _Conductor:
         self.heard = Heard(plan.roles)
         self.links = Links(session, "session")
         self.attention = Attention(local_clock)
-        self.linked_at = self.begun_at = 0.0
+        self.linked_at = 0.0
         self.recorder: Recorder | None = None
         self.vigil: Vigil | None = None
         self.sidecar: dict[str, object] = {}
@@ -368,6 +368,9 @@ class _Conductor:
         handlers = {number: signal.signal(number, signal.SIG_IGN) for number in ENDINGS}
         try:
             free_reserve(self.plan.run.xdf)
+        except SetupError as error:
+            self.peer.note("error", str(error))
+        try:
             if self.recorder is not None and self.recorder.alive:
                 self.peer.rest(TAIL_S)
                 self.progress("closing the recording", 0, 1)
@@ -388,15 +391,14 @@ class _Conductor:
 
     def _closing(self) -> dict[str, Any]:
         path = self.plan.run.xdf
+        found: dict[str, Any] = {}
         if path.exists():
             self.progress("checking the recording", 0, 1)
-            self.verified, self.missing = verify(
-                path, self.heard, self.config.eeg.stream_type, "stimulus" not in self.plan.remote
-            )
-        told = asdict(self.outcome(), dict_factory=_plain) | {"state": "closed"}
-        if not path.exists():
-            return told
-        return told | {"sha256": checksum(path), "bytes": path.stat().st_size, "missing": self.missing}
+            is_ours = "stimulus" not in self.plan.remote
+            finding = verify(path, self.heard, self.config.eeg.stream_type, is_ours)
+            self.verified, self.missing = finding.sentence, finding.missing
+            found = {"sha256": finding.sha256, "bytes": path.stat().st_size, "missing": self.missing}
+        return asdict(self.outcome(), dict_factory=_plain) | {"state": "closed"} | found
 
     def outcome(self) -> Outcome:
         """How the run went, by what was heard."""

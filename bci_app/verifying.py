@@ -1,5 +1,6 @@
 """A closed recording, read back and compared with what was heard while it was written."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from bci_app.errors import SetupError
@@ -8,8 +9,24 @@ from bci_app.recording import read
 from bci_app.runs import checksum, write_sums
 
 
-def verify(path: Path, heard: Heard, eeg_type: str, has_truth: bool) -> tuple[str, list[str]]:
-    """The finding in a sentence, and what is missing or damaged, a sentence each; writes the checksums of its chunks.
+@dataclass(frozen=True)
+class Finding:
+    """What came of it.
+
+    Attributes
+    ----------
+    sentence : all of it in one.
+    missing : what is missing or damaged, a sentence each.
+    sha256 : of the file.
+    """
+
+    sentence: str
+    missing: list[str]
+    sha256: str
+
+
+def verify(path: Path, heard: Heard, eeg_type: str, has_truth: bool) -> Finding:
+    """Read a closed recording back, and write down the checksums of its chunks.
 
     ``eeg_type`` is the LSL type of its EEG stream, ``has_truth`` whether our own stimulus ran.
     """
@@ -22,9 +39,8 @@ def verify(path: Path, heard: Heard, eeg_type: str, has_truth: bool) -> tuple[st
         write_sums(path)
     except SetupError as error:
         missing.append(str(error))
+    sha256 = checksum(path)
     if recording is None or missing:
-        return f"The recording isn't what was heard: {' '.join(missing)}", missing
-    return (
-        f"Read back: {heard.moves} moves, {heard.verdicts.total()} verdicts, {len(recording.times)} EEG samples; "
-        f"nothing that was heard is missing. SHA-256 {checksum(path)}."
-    ), []
+        return Finding(f"The recording isn't what was heard: {' '.join(missing)}", missing, sha256)
+    counts = f"{heard.moves} moves, {heard.verdicts.total()} verdicts, {len(recording.times)} EEG samples"
+    return Finding(f"Read back: {counts}; nothing that was heard is missing. SHA-256 {sha256}.", [], sha256)

@@ -36,16 +36,19 @@ MB = 1e6
 
 
 def run(*words: object) -> dict:
+    """What a command prints as JSON."""
     command = [sys.executable, "-m", "bci_app", *map(str, words), "--json"]
     return json.loads(subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout)
 
 
 def role_of(process: psutil.Process) -> str:
+    """Which of a run's processes it is."""
     words = process.cmdline()
     return next((role for role in ROLES if role in words[:5]), "recorder" if "LabRecorder" in words[0] else words[0])
 
 
 def sizes(folder: Path) -> dict[str, int]:
+    """Bytes of each file but recordings, by its path."""
     return {
         str(path.relative_to(folder)): path.stat().st_size
         for path in folder.rglob("*")
@@ -80,6 +83,7 @@ def watch(running: subprocess.Popen[bytes], folder: Path, out: Path, speed: floa
 
 
 def slopes(rows: list[dict[str, float]]) -> Table:
+    """By how much each process, and the files, grew."""
     table = Table("process", "MB at first", "MB at last", "MB an hour of session time [95 %]", title="What grows")
     whole = [row for row in rows if all(role in row for role in ROLES)]
     kept = whole[len(whole) // 10 :]
@@ -114,6 +118,7 @@ def markers(path: Path) -> tuple[int, int, int]:
 
 
 def main() -> None:
+    """Calibrate, go online for a day, and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--hours", type=float, default=24.0)
     parser.add_argument("--speed", type=float, default=40.0)

@@ -42,6 +42,7 @@ NOT_COMPARED = {"latency_ms", "protocol", "session"}
 
 
 def main() -> None:
+    """Compare, and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sessions", type=int, default=100)
     parser.add_argument(

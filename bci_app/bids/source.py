@@ -11,8 +11,8 @@ from bci_app.bids.signals import Signals, signals
 from bci_app.config import validated
 from bci_app.errors import SetupError
 from bci_app.protocol import RunSeed, SessionEnd, SessionStart
-from bci_app.recording import Recording, read
-from bci_app.runs import Run, check_untouched, checksum, eeg_type, read_sidecar
+from bci_app.recording import Recording, read_run
+from bci_app.runs import Run, checksum
 from decoder.chain import design
 from decoder.epochs import Shape
 from decoder.timeline import measured_rate
@@ -130,15 +130,9 @@ def run_of(path: Path) -> Run:
 
 def read_source(path: Path, allow_damage: bool) -> Source:
     """Read a recording. Raises SetupError where it is no run of ours, or (unless `allow_damage`) isn't whole."""
-    run, sidecar = run_of(path), read_sidecar(path)
-    recording = read(path, allow_damage, eeg_type(sidecar))
-    if not allow_damage:
-        check_untouched(path, sidecar)
+    run = run_of(path)
+    recording, start, sidecar = read_run(path, allow_damage)
     recording.eeg.check()
-    starts = recording.of(SessionStart)
-    if not starts:
-        raise SetupError(f"{path} holds no SessionStart message: it isn't a whole run of this experiment.")
-    start = starts[0][1]
     if start.task != run.task or start.participant != run.participant:
         raise SetupError(
             f"{path} is called {run.task} of {run.participant}, and holds {start.task} of {start.participant}. Give it "
