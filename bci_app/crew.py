@@ -90,12 +90,7 @@ class Crew:
             if process.poll() is None:
                 process.send_signal(signal.SIGTERM)
         for role, process in self._processes.items():
-            try:
-                process.wait(END_TIMEOUT_S)
-            except subprocess.TimeoutExpired:
-                log.warning("The %s process doesn't end; killing it.", role)
-                process.kill()
-                process.wait()
+            _await_end(role, process, END_TIMEOUT_S)
         for file in self._files:
             file.close()
 
@@ -117,9 +112,14 @@ def beside(role: Role, arguments: list[str] | None) -> Iterator[None]:
         yield
     finally:
         process.terminate()
-        try:
-            process.wait(BESIDE_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            log.warning("The %s doesn't end; killing it.", role)
-            process.kill()
-            process.wait()
+        _await_end(role, process, BESIDE_TIMEOUT_S)
+
+
+def _await_end(role: Role, process: "subprocess.Popen[bytes]", seconds: float) -> None:
+    """Wait for a process that was asked to end; kill it where it doesn't within so many real seconds."""
+    try:
+        process.wait(seconds)
+    except subprocess.TimeoutExpired:
+        log.warning("The %s process doesn't end; killing it.", role)
+        process.kill()
+        process.wait()
