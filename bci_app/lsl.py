@@ -39,6 +39,11 @@ EegInfo: TypeAlias = pylsl.StreamInfo
 """A stream as it was found on the network."""
 
 
+Identity: TypeAlias = tuple[float, str]
+"""What tells two streams of one source id apart, the older first: when it was opened, on its computer's clock, and its
+LSL uid."""
+
+
 class NoStream(SetupError):
     """No EEG stream was found."""
 
@@ -59,6 +64,7 @@ class MessageOutlet:
             info.desc().append_child_value("origin", repr(clock.origin))
         info.desc().append_child_value("process", str(os.getpid()))
         self._outlet: pylsl.StreamOutlet | None = pylsl.StreamOutlet(info)
+        self.identity: Identity = _identity(self._outlet.get_info())
 
     def push(self, message: Message, stamp: float) -> None:
         """Send a message with its session time; nobody hears it once it is closed."""
@@ -107,6 +113,10 @@ class EegOutlet:
         self._outlet.push_chunk(samples, stamps.tolist())
 
 
+def _identity(info: pylsl.StreamInfo) -> Identity:
+    return float(info.created_at()), str(info.uid())
+
+
 def _describe_ours(info: pylsl.StreamInfo, session: str) -> None:
     desc = info.desc()
     desc.append_child_value("manufacturer", "errp-bci")
@@ -148,6 +158,10 @@ class Watch:
     def found(self) -> dict[str, pylsl.StreamInfo]:
         """The streams by their source id."""
         return {info.source_id(): info for info in self._resolver.results()}
+
+    def identities(self, source_id: str) -> set[Identity]:
+        """Of all streams with this source id: there are several where one was started twice."""
+        return {_identity(info) for info in self._resolver.results() if info.source_id() == source_id}
 
 
 class LateInlet:

@@ -9,7 +9,7 @@ from typing import Literal
 
 from bci_app.clock import Clock
 from bci_app.errors import LinkLost
-from bci_app.lsl import MessageInlet, MessageOutlet, Received, local_clock
+from bci_app.lsl import Identity, MessageInlet, MessageOutlet, Received, local_clock
 from bci_app.protocol import SESSION, Message, Note, Recall, Returned, Role, Status, StreamSpec
 
 log = logging.getLogger(__name__)
@@ -43,6 +43,11 @@ class Peer:
         self._said: tuple[State, str] | None = None
         self._said_at = 0.0
         self._hears: dict[str, float] = {}
+
+    @property
+    def identity(self) -> Identity:
+        """What tells its stream from another one with the same source id."""
+        return self._outlet.identity
 
     def close(self) -> None:
         """Take the stream off the network."""

@@ -72,6 +72,18 @@ def test_a_second_console_is_refused() -> None:
     del theirs, stimulus
 
 
+def test_of_two_consoles_started_at_once_one_stays() -> None:
+    stimulus = ForeignStimulus("mine")
+    with listening("mine") as one, listening("mine") as two:
+        until(lambda: one.ended.is_set() or two.ended.is_set(), 30, "one of them to give way")
+        given_way, stays = (one, two) if one.ended.is_set() else (two, one)
+        assert "has a console already" in str(given_way.failure)
+        until(lambda: shown(stays, "session").get("id") == "mine", 30, "the session")
+        assert not stays.ended.is_set()
+    assert stays.failure is None
+    del stimulus
+
+
 def test_nobody_is_asked_where_nobody_follows() -> None:
     console = Console(Config())
     assert shown(console, "session")["phase"] == "looking"

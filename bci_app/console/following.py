@@ -63,6 +63,11 @@ class Following:
         self._asked_at = 0.0
         self._over_at: float | None = None  # real time at which all was said
 
+    @property
+    def source_id(self) -> str:
+        """Of the console's own stream."""
+        return CONSOLE.source_id(self.session)
+
     def snapshot(self) -> dict[str, Any]:
         """What the page shows; the lock must be held."""
         return self.state.snapshot(local_clock(), self._clock.now())

@@ -105,15 +105,15 @@ class Listener:
             if session is not None:
                 following = self._follow(session, found)
         if following is not None:
+            # Two that were started at the same moment don't see each other before both are there: the older stays.
+            if any(other < following.peer.identity for other in self._watch.identities(following.source_id)):
+                raise _second(following.session)
             following.open(found)
             following.look_at_electrodes()
 
     def _follow(self, session: str, found: Mapping[str, EegInfo]) -> Following | None:
         if CONSOLE.source_id(session) in found:
-            raise SetupError(
-                f"Session {session} has a console already. Open its page, at the address that was printed when it was "
-                "started, or end it first."
-            )
+            raise _second(session)
         header = self._header(session, found)
         if header is None:
             return self._following
@@ -167,3 +167,10 @@ class Listener:
         while not self._asked.empty():
             following.peer.push(self._asked.get()(following.session))
         following.say()
+
+
+def _second(session: str) -> SetupError:
+    return SetupError(
+        f"Session {session} has a console already. Open its page, at the address that was printed when it was "
+        "started, or end it first."
+    )
