@@ -163,8 +163,12 @@ def test_missing_channels_are_refused_and_reordered_ones_mended(tmp_path: Path, 
 
 @pytest.mark.trouble("pylsl #88: the loss of a stream is invisible; liblsl #201, #220: and closing it then hangs")
 def test_an_amplifier_that_fails_in_the_middle_ends_the_decoder(tmp_path: Path) -> None:
-    """One drifts, one dies, and each decoder says which."""
-    faults = {"drifts": (2, "drifted from 250 Hz"), "dies": (3, "No EEG sample")}
+    """One drifts, one dies, one comes back with another cap, and each decoder says which."""
+    faults = {
+        "drifts": (2, "drifted from 250 Hz"),
+        "dies": (3, "No EEG sample"),
+        "changes": (2, "Stream 'Ampchanges' came back changed: expected"),
+    }
     with ExitStack() as stack:
         amplifiers = {fault: stack.enter_context(closing(ForeignAmplifier(f"Amp{fault}"))) for fault in faults}
         stimuli = {fault: ForeignStimulus(fault) for fault in faults}
@@ -182,11 +186,20 @@ def test_an_amplifier_that_fails_in_the_middle_ends_the_decoder(tmp_path: Path) 
 
         until(lambda: all([heard.is_ready() for heard in verdicts.values()]), 40, "the decoders", play)
         amplifiers["drifts"].change_rate(240.0)
+        amplifiers["changes"].close()
+        heard = verdicts["changes"]
+        until(lambda: any("No EEG" in note["text"] for note in heard.of("Note")), 15, "word of it")
+        changed = stack.enter_context(closing(ForeignAmplifier("Ampchanges", labels=LABELS[::-1])))
+
+        def play_on() -> None:
+            amplifiers["drifts"].play()
+            changed.play()
+
         until(
             lambda: all([decoder.poll() is not None for decoder in decoders.values()]),
             60,
             "the decoders to end",
-            amplifiers["drifts"].play,
+            play_on,
         )
         for fault, (code, says) in faults.items():
             assert decoders[fault].returncode == code

@@ -5,9 +5,11 @@ from pathlib import Path
 import pylsl
 import pytest
 import pyxdf
+from lsl_peers import until
 
 from bci_app.errors import LinkLost, SetupError
 from bci_app.recorder import Recorder
+from bci_app.vigil import GROW_TIMEOUT_S, Vigil
 
 N_STREAMS = 8
 
@@ -41,6 +43,22 @@ def test_a_stream_that_is_not_there_is_named(outlets: list[pylsl.StreamOutlet], 
         recorder.start()
     assert not recorder.alive
     assert not recorder.path.exists()
+
+
+def test_a_recorder_that_writes_no_more_is_told_and_ended(outlets: list[pylsl.StreamOutlet], tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "hangs.xdf", queries(outlets[:1]))
+    recorder.start()
+    vigil = Vigil(recorder, began=0.0)
+    assert vigil.lost(1000, GROW_TIMEOUT_S, may_stand=False) is None
+    assert vigil.lost(1000, 2 * GROW_TIMEOUT_S, may_stand=False) is None
+    assert vigil.lost(1000, 9 * GROW_TIMEOUT_S, may_stand=True) is None
+    text = vigil.lost(1000, 11.1 * GROW_TIMEOUT_S, may_stand=False)
+    assert text is not None
+    assert "has stopped growing at 1000 bytes" in text
+    until(lambda: not recorder.alive, 10, "its end")
+    text = vigil.lost(2000, 12 * GROW_TIMEOUT_S, may_stand=False)
+    assert text is not None
+    assert "LabRecorder died" in text
 
 
 def test_a_recording_is_never_overwritten(outlets: list[pylsl.StreamOutlet], tmp_path: Path) -> None:

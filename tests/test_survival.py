@@ -2,13 +2,17 @@
 
 import json
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from conftest import Cli
-from lsl_peers import lab_config
+from lsl_peers import lab_config, process, until
+
+from bci_app.protocol import MoveOnset
+from bci_app.recording import read
 
 
 @pytest.mark.timeout(400)
@@ -32,6 +36,38 @@ def test_a_fault_that_isnt_drilled_is_refused(cli: Cli) -> None:
     done = cli("drill", "--fault", "coffee on the keyboard")
     assert done.returncode == 2
     assert "policy killed" in done.stderr
+
+
+def test_a_calibration_that_was_interrupted_goes_on_where_it_stopped(cli: Cli, tmp_path: Path) -> None:
+    words = ("--participant", "P001", "--simulate", "--speed", 20, "--config", lab_config(tmp_path))
+    made = tmp_path / "recordings"
+    with process("calibrate", *words) as running:
+        until(lambda: any(path.stat().st_size > 4_000_000 for path in made.rglob("*.xdf")), 60, "some moves")
+        running.send_signal(signal.SIGINT)
+        assert running.wait(60) == 130
+    resumed = cli("calibrate", *words, "--resume", "--json")
+    assert resumed.returncode == 0, resumed.stderr
+    runs = sorted(made.rglob("*.xdf"))
+    n_moves = [len(read(path).of(MoveOnset)) for path in runs]
+    assert len(runs) == 2
+    assert n_moves[0] > 0
+    # Of the first run's last moves one may have had no verdict yet.
+    assert n_moves[1] == json.loads(resumed.stdout)["moves"] < 40 <= sum(n_moves) <= 42
+    done = cli("calibrate", *words, "--resume")
+    assert done.returncode == 2
+    assert "is complete: there is nothing to go on with" in done.stderr
+    fitted = cli("fit", *runs, "--config", tmp_path / "lab.toml")
+    assert "error epochs; this calibration has" in fitted.stderr
+    assert "(of 40)" in fitted.stderr
+
+
+def test_a_calibration_of_which_no_epoch_is_valid_wastes_nobodys_time(cli: Cli, tmp_path: Path) -> None:
+    config = lab_config(tmp_path)
+    with config.open("a", encoding="utf-8") as file:
+        file.write("[eeg]\nmax_band_uv = 0.001\n")
+    done = cli("calibrate", "--participant", "P001", "--simulate", "--speed", 20, "--config", config)
+    assert done.returncode == 3
+    assert "The last 10 moves gave no valid epoch" in done.stderr
 
 
 @pytest.mark.trouble("App-LabRecorder #107: a disk that fills, and nobody notices")
