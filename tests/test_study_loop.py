@@ -20,7 +20,7 @@ from bci_app.study import alone, plan, running
 from bci_app.study.conduct import names_of
 from bci_app.study.parts import Kept
 from decoder.attention import Attention
-from decoder.model import DecoderModel, save
+from decoder.model import DecoderModel, load, save
 from policy import checkpoint
 
 OPEN = load_map("open")
@@ -137,6 +137,12 @@ def test_a_study_in_one_process_is_kept_and_shown_and_goes_on(tmp_path: Path) ->
     assert set(kept.parts) == set(names_of(more, more.participants[0]))
     assert {name: kept.parts[name] for name in before} == before
     assert kept.stopped == {}
+    # The paper's condition decodes as the paper did.
+    decoders = tmp_path / "one-process" / "decoders"
+    ours, papers = (load(decoders / f"P1{name}_decoder.safetensors") for name in ("", "_paper"))
+    assert not np.array_equal(ours.classifier.weights, papers.classifier.weights)
+    assert kept.parts["calibration"]["tenfold"] == ours.info.tenfold
+    assert kept.parts["calibration"]["paper"]["tenfold"] == papers.info.tenfold
 
 
 def test_what_is_kept_of_another_study_is_refused(tmp_path: Path) -> None:

@@ -18,9 +18,13 @@ SCORES = {
 } | {"n_error": 30, "n_correct": 70}
 
 
+def calibrated(papers: dict[str, Any]) -> dict[str, Any]:
+    return {"tenfold": SCORES, "contiguous": SCORES, "paper": {"tenfold": papers, "contiguous": papers}}
+
+
 def person(name: str, factor: float = 0.7, published: str | None = None, **missing: bool) -> dict[str, Any]:
     """Somebody who takes twice the distance without ErrP, and `factor` of that with it."""
-    parts: dict[str, Any] = {"calibration": {"tenfold": SCORES, "contiguous": SCORES}}
+    parts: dict[str, Any] = {"calibration": calibrated(SCORES)}
     for condition, times in {"none": 2.0, "ours": 2.0 * factor}.items():
         for place in ("open", "obstacles"):
             if not missing.get(f"{condition}_{place}"):
@@ -119,7 +123,7 @@ def test_the_papers_tables_have_its_numbers_below_ours() -> None:
 
 def test_who_is_below_the_papers_gate_is_a_group_of_its_own() -> None:
     people = [person("S2", published="S2"), person("B1")]
-    people[1]["parts"]["calibration"] = {"tenfold": SCORES | {"accuracy": {"value": 0.62}}, "contiguous": SCORES}
+    people[1]["parts"]["calibration"] = calibrated(SCORES | {"accuracy": {"value": 0.62}})
     found = tables.groups(people, 0.7)
     assert {name: [each["participant"] for each in group] for name, group in found.items()} == {
         "all": ["S2", "B1"],

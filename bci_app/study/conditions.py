@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bci_app.config import ClassifierConfig, PolicyConfig
+from bci_app.config import ClassifierConfig, Config, PolicyConfig, changed
 from bci_app.gridworld import GridWorld
 from bci_app.study.plan import Condition
 from decoder import model
@@ -39,7 +39,7 @@ class Choice:
 def choose(
     condition: Condition, info: "model.ModelInfo", settings: PolicyConfig, papers_gate: float, world: GridWorld
 ) -> Choice:
-    """The policy of a condition, by the decoder's cross-validated statistics.
+    """The policy of a condition, by the cross-validated statistics of the decoder it plays with.
 
     The paper's rule goes by the plain accuracy in stratified tenfold cross-validation, as the paper does; ours by the
     balanced accuracy over contiguous folds.
@@ -61,6 +61,11 @@ def choose(
 def _choice(card: checkpoint.PolicyCard, reason: str) -> Choice:
     assert card.path is not None
     return Choice(card.path, card.name, card.verdicts != "none", reason)
+
+
+def papers(config: Config) -> Config:
+    """With the paper's classifier: the condition that follows its rule decodes as the paper did."""
+    return changed(config, {"classifier": {"covariance": "ledoit-wolf", "estimator": None}})
 
 
 def coin(

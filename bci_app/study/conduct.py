@@ -13,12 +13,14 @@ from bci_app.gridworld import load_map
 from bci_app.progress import Progress
 from bci_app.rehearsing import likeness_of
 from bci_app.runs import checksum
-from bci_app.study.conditions import choose, coin
+from bci_app.study.conditions import choose, coin, papers
 from bci_app.study.parts import CALIBRATION, Kept, of_calibration, of_online, part_name
 from bci_app.study.plan import Condition, Participant, Study, Through
 from bci_app.study.ways import InOneProcess, Stopped, ThroughProcesses, Way
 from decoder import model, rehearsal_file
 
+PAPER, COIN = "paper", "coin"
+"""Decoders beside our own that are made of the same calibration."""
 MUTE = "calibration mute"
 """The calibration of a participant without an ErrP."""
 
@@ -79,10 +81,8 @@ class _Conducted:
         self.part = part
         seed = self.study.run_seed(self.who.name, part)
         target = self._decoder(part)
-        wanted = {target}
-        if part == CALIBRATION and "coin" in self.study.conditions:
-            wanted.add(self._decoder("coin"))
-        missing = {path for path in wanted if not path.exists()}
+        others = [] if part == MUTE else [PAPER, *([COIN] if "coin" in self.study.conditions else [])]
+        missing = [name for name in (part, *others) if not self._decoder(name).exists()]
         if part in self.kept.parts and not missing:
             return
         if part not in self.kept.parts and part not in self.kept.recorded:
@@ -91,23 +91,27 @@ class _Conducted:
         path = self.kept.recorded.get(part) or self.kept.parts.get(part, {}).get("recording", "")
         if missing:
             self._fit(config, seed, path, missing)
-        self.kept.done(part, of_calibration(model.load(target).info, target, path))
+        papers_info = model.load(self._decoder(PAPER)).info if PAPER in others else None
+        self.kept.done(part, of_calibration(model.load(target).info, papers_info, target, path))
 
-    def _fit(self, config: Config, seed: int, path: str, missing: set[Path]) -> None:
-        """Make the files of the decoder and of its coin, as far as they are missing."""
+    def _fit(self, config: Config, seed: int, path: str, missing: list[str]) -> None:
+        """Make the files of the decoders that are missing."""
         recording = self.way.recording(config, self.who.name, seed, path)
         sha256 = checksum(Path(path)) if path else ""
         epochs, result, fitted = fitting.decoder_of(recording, self.who.name, config, sha256)
-        for target in missing:
-            is_coin = target == self._decoder("coin")
-            target.parent.mkdir(parents=True, exist_ok=True)
-            tossing = (
-                coin(fitted, result, epochs.features, epochs.error, config.classifier, seed) if is_coin else fitted
-            )
-            model.save(tossing, target)
+        for name in missing:
+            match name:
+                case "coin":
+                    made = coin(fitted, result, epochs.features, epochs.error, config.classifier, seed)
+                case "paper":
+                    made = fitting.decoder_of(recording, self.who.name, papers(config), sha256)[2]
+                case _:
+                    made = fitted
+            self._decoder(name).parent.mkdir(parents=True, exist_ok=True)
+            model.save(made, self._decoder(name))
 
     def _online(self, condition: Condition, map_name: str, config: Config) -> None:
-        part = {"coin": "coin", "mute": MUTE}.get(condition, CALIBRATION)
+        part = {"paper": PAPER, "coin": COIN, "mute": MUTE}.get(condition, CALIBRATION)
         decoder = self._decoder(part)
         world = load_map(map_name)
         info = model.load(decoder).info

@@ -101,9 +101,11 @@ class Kept:
             ) from error
 
 
-def of_calibration(info: ModelInfo, model: Path, recording: str) -> dict[str, Any]:
-    """A calibration's part: the accuracies of `bci-app fit`, and what the policy is told."""
+def of_calibration(info: ModelInfo, papers: ModelInfo | None, model: Path, recording: str) -> dict[str, Any]:
+    """A calibration's part: the accuracies of `bci-app fit`, and what the policy is told; those of the paper's
+    classifier on the same moves as `paper`."""
     return {
+        "paper": {"tenfold": papers.tenfold, "contiguous": papers.blocked} if papers else None,
         "n_moves": info.n_error + info.n_correct + info.n_rejected,
         "n_rejected": info.n_rejected,
         "tenfold": info.tenfold,

@@ -21,7 +21,7 @@ Through = Literal["processes", "one-process"]
 WAYS: tuple[Through, ...] = get_args(Through)
 SAID: dict[Condition, str] = {
     "none": "no ErrP: the policy without verdicts",
-    "paper": "the paper's rule: words only, the policy trained at the nearest accuracy, its gate",
+    "paper": "the paper's rule: its classifier, words only, the policy trained at the nearest accuracy, its gate",
     "ours": "ours: scores, the policy that is told the decoder's statistics",
     "coin": "control: as ours, but the verdicts have nothing to do with the moves",
     "mute": "control: as ours, of a participant without an ErrP",

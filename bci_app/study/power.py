@@ -8,7 +8,6 @@ population, plays the study's own episodes with each under both conditions, and 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -23,14 +22,14 @@ from bci_app.errors import SetupError
 from bci_app.gridworld import GridWorld, load_map
 from bci_app.metrics import truths
 from bci_app.progress import Progress
-from bci_app.study import alone
+from bci_app.study import alone, conditions
 from bci_app.study.conditions import choose
-from bci_app.study.parts import CALIBRATION, Kept
+from bci_app.study.parts import CALIBRATION
 from bci_app.study.plan import Condition, Participant, Study
 from bci_app.told import Told
 from decoder.calibration import wilson
 from decoder.evidence import Evidence
-from decoder.model import load
+from decoder.model import DecoderModel
 from policy import checkpoint
 from policy.ear import Ear
 from policy.evaluation import NetworkPlayer, play
@@ -150,24 +149,28 @@ def steps_of(study_json: str, name: str) -> dict[str, Array]:
     study = Study.model_validate_json(study_json)
     who = study.participant(name)
     config = study.settings(who)
-    heard = hear(study, who, config)
+    ours, papers = hear(study, who, config)
     worlds = [load_map(each) for each in study.maps]
     found: dict[str, Array] = {}
     for condition in ("none", *CONDITIONS):
+        heard = papers if condition == "paper" else ours
         steps = [play_all(study, config, heard, condition, world, name) for world in worlds]
         found[condition] = np.concatenate(steps, axis=1).mean(axis=1)
     return found
 
 
-def hear(study: Study, who: Participant, config: Config) -> Heard:
-    """Calibrate, unless the study has done so in one process, and have the decoder judge another hour of the same kind,
-    with the ErrP as it is online."""
-    kept = Kept.of(study, who, "one-process").parts.get(CALIBRATION)
-    if kept and Path(kept["model"]).exists():
-        fitted = load(Path(kept["model"]))
-    else:
-        seed = study.run_seed(who.name, CALIBRATION)
-        _, _, fitted = fitting.decoder_of(alone.calibrate(config, who.name, seed), who.name, config)
+def hear(study: Study, who: Participant, config: Config) -> tuple[Heard, Heard]:
+    """Calibrate and have our decoder, and one with the paper's classifier, judge another hour of the same kind, with
+    the ErrP as it is online."""
+    calibration = alone.calibrate(config, who.name, study.run_seed(who.name, CALIBRATION))
+    ours, papers = (
+        _judging(study, who, each, fitting.decoder_of(calibration, who.name, each)[2])
+        for each in (config, conditions.papers(config))
+    )
+    return ours, papers
+
+
+def _judging(study: Study, who: Participant, config: Config, fitted: DecoderModel) -> Heard:
     recording = alone.calibrate(config, who.name, study.run_seed(who.name, "power"), model=fitted)
     known = truths(recording)
     judged = [(known[key], verdict.log_odds) for key, verdict in recording.verdicts.items()]

@@ -93,10 +93,10 @@ def _paired(rows: Sequence[Row], others: Sequence[Row]) -> tuple[list[float], li
 
 
 def groups(people: Sequence[Person], papers_gate: float) -> dict[str, list[Person]]:
-    """All participants, those whom the paper keeps, and those whom it sends home; those without a calibration in none
-    of the two."""
+    """All participants, those whom the paper keeps, and those whom it sends home by the accuracy of its classifier;
+    those without a calibration in none of the two."""
     known = [each for each in people if "calibration" in each["parts"]]
-    accuracy = {each["participant"]: each["parts"]["calibration"]["tenfold"]["accuracy"]["value"] for each in known}
+    accuracy = {each["participant"]: _papers_accuracy(each) for each in known}
     shown = [each for each in people if each.get("published")]
     found = {
         ALL: list(people),
@@ -104,6 +104,10 @@ def groups(people: Sequence[Person], papers_gate: float) -> dict[str, list[Perso
         "below the paper's gate": [each for each in known if accuracy[each["participant"]] < papers_gate],
     }
     return {name: group for name, group in found.items() if group}
+
+
+def _papers_accuracy(person: Person) -> float:
+    return float(person["parts"]["calibration"]["paper"]["tenfold"]["accuracy"]["value"])
 
 
 def headline(people: Sequence[Person], conditions: Sequence[str], maps: Sequence[str], papers_gate: float) -> list[Row]:
@@ -163,6 +167,8 @@ def _scores(person: Person, condition: str, maps: Sequence[str]) -> list[Row]:
     where: Row = {"participant": person["participant"], "visit": None}
     rows = []
     calibration = person["parts"].get("calibration mute" if condition == "mute" else "calibration")
+    if calibration and condition == "paper":
+        calibration = calibration["paper"]
     if calibration:
         for source in ("tenfold", "contiguous"):
             rows += calibrations.score_rows(calibration[source], source, **where)
