@@ -436,6 +436,7 @@ def test_mistakes_are_sentences(study: Study, tmp_path: Path) -> None:
     left_out = export_bids([tmp_path / "mine.xdf", wrong], new, About(), False, quiet)["left_out"]
     assert "must be named as in" in left_out[0]
     assert "is called online of P003, and holds online of P001" in left_out[1]
+    assert not new.exists()
     done = CliRunner().invoke(app, ["export-bids", str(wrong), "--out", str(new)])
     assert done.exit_code == 2
     assert "P003" in done.output

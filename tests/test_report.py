@@ -271,6 +271,9 @@ def test_figures_are_there_for_publication(made: Any) -> None:
 def test_nothing_is_overwritten(made: Any, study_folder: Any, tmp_path: Path) -> None:
     with pytest.raises(SetupError, match="is there already, and nothing is overwritten"):
         making.make([study_folder[0]], Path(made["report"]).parent, False, nothing)
+    (tmp_path / "file").touch()
+    with pytest.raises(SetupError, match="isn't a folder that may be written into"):
+        making.make([study_folder[0]], tmp_path / "file" / "report", False, nothing)
     (tmp_path / "report").mkdir()
     assert free_folder(tmp_path) == tmp_path / "report-2"
 

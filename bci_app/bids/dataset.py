@@ -31,6 +31,7 @@ def export_bids(
     Raises SetupError where nothing can be written: no recordings, or a folder that is no BIDS dataset.
     """
     found = [path for path in find(paths) if not path.resolve().is_relative_to(out.resolve())]
+    is_new = not out.exists() or (out.is_dir() and not any(out.iterdir()))
     _open(out, about)
     runs, left_out = [], []
     for number, path in enumerate(found):
@@ -40,6 +41,8 @@ def export_bids(
         except SetupError as error:
             left_out.append(str(error))
     progress("done", len(found), len(found))
+    if is_new and not runs:
+        shutil.rmtree(out)  # a dataset of nothing is none
     return {"dataset": str(out), "runs": runs, "left_out": left_out, "fit": not left_out}
 
 

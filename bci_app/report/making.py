@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
@@ -90,11 +91,17 @@ def write_report(folder: Path, tables: Tables, figures: Sequence[Mapping[str, An
 
 
 def _folder(out: Path | None, files: Sequence[Path], wanted: Sequence[sources.Visit]) -> Path:
-    if out is None:
-        return sources.free_folder(sources.folder_of(files, wanted))
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise SetupError(f"{out} is there already, and nothing is overwritten. Name a new folder with --out.")
-    return out
+    """Where the report goes; that it can go there is better known before an hour of recordings is read."""
+    folder = sources.free_folder(sources.folder_of(files, wanted)) if out is None else out
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise SetupError(f"{folder} is there already, and nothing is overwritten. Name a new folder with --out.")
+    inside = next(each for each in (folder.absolute(), *folder.absolute().parents) if each.exists())
+    if not inside.is_dir() or not os.access(inside, os.W_OK):
+        raise SetupError(
+            f"Can't write the report into {folder}: {inside} isn't a folder that may be written into. "
+            "Choose another --out."
+        )
+    return folder
 
 
 def write_tables(folder: Path, tables: Tables) -> None:
