@@ -104,7 +104,7 @@ def evaluate(
     as_json: JsonOption = False,
 ) -> None:
     """Play simulated episodes with a policy or a baseline: steps to the goal and success, with intervals."""
-    from policy import checkpoint, evaluation, players
+    from policy import cards, evaluation, players
 
     world = load_map(map_name)
     if (verdicts is None) == (decoder is None):
@@ -118,7 +118,7 @@ def evaluate(
     else:
         draw, accuracy, balanced = _held_out(decoder)
     name = policy or ("told" if passes_gate(PolicyConfig(), accuracy, balanced) else "none")
-    player, heard = players.player_of(name, world, draw, folder or checkpoint.PRETRAINED, accuracy)
+    player, heard = players.player_of(name, world, draw, folder or cards.PRETRAINED, accuracy)
     figures: dict[str, Any] = {"map": world.name, "verdicts": verdicts or str(decoder), "policy": name}
     figures |= {"missing": missing, "taken_for": taken_for}
     figures |= evaluation.report(player, world, heard, episodes, seed)
@@ -159,11 +159,11 @@ def experiment1(
     as_json: JsonOption = False,
 ) -> None:
     """The paper's first experiment: all of its tables and figures with our policies, beside the published numbers."""
-    from policy import checkpoint
+    from policy import cards
     from policy.experiment1 import tables
 
     with progress_bar(as_json) as progress:
-        result = tables.run(out, folder or checkpoint.PRETRAINED, episodes, progress)
+        result = tables.run(out, folder or cards.PRETRAINED, episodes, progress)
     finish(result, as_json)
 
 

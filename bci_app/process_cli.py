@@ -122,7 +122,7 @@ def policy(
     returning: ReturningOption = False,
 ) -> None:
     """Choose the agent's moves from verdicts and what the agent senses."""
-    from policy import checkpoint, process
+    from policy import cards, checkpoint, process
     from policy.agent import Agent
     from policy.ear import Ear
     from policy.verdicts import Verdicts
@@ -130,7 +130,7 @@ def policy(
     settings = _prepare(config)
     world = load_map(map_name)
     network, card = checkpoint.load(policy_file)
-    checkpoint.check_fits(card, world)
+    cards.check_fits(card, world)
     ear = Ear(Verdicts.parse(card.verdicts), Told.parse(told) if told else None)
     agent = Agent(network, ear, world)
     process.run(settings.policy, session, session_clock(speed, origin), agent, world, parent, returning)

@@ -139,7 +139,7 @@ def _actions(
     opening: SessionStart,
     verdicts: list[Compared],
 ) -> Iterator[Compared]:
-    from policy import checkpoint
+    from policy import cards, checkpoint
     from policy.agent import Agent
     from policy.ear import Ear
     from policy.navigator import Navigator, is_without
@@ -150,7 +150,7 @@ def _actions(
         raise SetupError(f"The sidecar of {recording.path} names no policy. Say which one it was with --policy.")
     network, card = checkpoint.load(path)
     world: GridWorld = compile_map("\n".join(opening.layout), opening.map)
-    checkpoint.check_fits(card, world)
+    cards.check_fits(card, world)
     ear = Ear(Verdicts.parse(card.verdicts), Told.parse(told) if told else None)
     navigator = Navigator(Agent(network, ear, world), world, opening.session)
     recorded = {(action.episode, action.step): action for _, action in recording.of(Action)}

@@ -33,7 +33,7 @@ MAX_SPEED = 100.0
 
 if TYPE_CHECKING:
     from decoder.model import ModelInfo
-    from policy.checkpoint import PolicyCard
+    from policy.cards import PolicyCard
 
 
 @dataclass(frozen=True)
@@ -156,25 +156,25 @@ def choose_policy(
 
     Raises SetupError when there is no such policy, or it is of another map.
     """
-    from policy import checkpoint
+    from policy import cards
 
     accuracy, balanced = (float(info.blocked[name]["value"]) for name in ("accuracy", "balanced_accuracy"))
     if policy is not None:
-        card = checkpoint.named(policy, world, accuracy)
-        checkpoint.check_fits(card, world)
+        card = cards.named(policy, world, accuracy)
+        cards.check_fits(card, world)
         return card, "as asked for"
     by_accuracy = settings.choice == "accuracy"
     if not (passes_gate(settings, accuracy, balanced) or below_gate):
         measure, gated = ("accuracy", accuracy) if by_accuracy else ("balanced accuracy", balanced)
-        return checkpoint.choose_without(world), (
+        return cards.choose_without(world), (
             f"the decoder's cross-validated {measure} of {gated:.1%} is below the gate of {settings.gate_accuracy:.0%} "
             "from which verdicts shorten the way, so the agent searches without them. Recalibrate for a better "
             "decoder, or insist on verdicts by --below-gate"
         )
     if by_accuracy:
-        return checkpoint.choose_by_accuracy(accuracy, world), f"trained nearest to the accuracy of {accuracy:.1%}"
+        return cards.choose_by_accuracy(accuracy, world), f"trained nearest to the accuracy of {accuracy:.1%}"
     reason = f"told the decoder's statistics, {info.evidence.information:.2f} bits a verdict"
-    return checkpoint.choose_told(world), reason
+    return cards.choose_told(world), reason
 
 
 def passes_gate(settings: PolicyConfig, accuracy: float, balanced: float) -> bool:

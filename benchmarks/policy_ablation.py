@@ -17,7 +17,7 @@ from torch import nn
 from bci_app.gridworld import GridWorld, load_map
 from policy import teachers
 from policy.actor_critic import ActorCriticSettings, train_actor_critic
-from policy.checkpoint import PRETRAINED
+from policy.cards import PRETRAINED
 from policy.distillation import DistillationSettings, distil
 from policy.evaluation import NetworkPlayer, evaluate
 from policy.network import Actor, Network, PaperNetwork

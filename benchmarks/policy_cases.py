@@ -31,7 +31,7 @@ from policy import (
     simulator,
     verdicts,
 )
-from policy.checkpoint import SUFFIX, policy_name
+from policy.cards import SUFFIX, policy_name
 from policy.evaluation import Played, play_many
 from policy.library import ACCURACIES, TOLD, WITHOUT
 from policy.players import BASELINES, player_of

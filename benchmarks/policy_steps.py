@@ -25,7 +25,7 @@ from policy_cases import Play, Row, play_all, read_people, rows
 
 from bci_app.gridworld import SHIPPED_MAPS
 from bci_app.terminal import progress_bar
-from policy.checkpoint import PRETRAINED
+from policy.cards import PRETRAINED
 from policy.evaluation import Played, paired_ratio, summarise
 from policy.library import ACCURACIES
 

@@ -17,7 +17,7 @@ import torch
 
 from bci_app.gridworld import load_map
 from policy import teachers
-from policy.checkpoint import PRETRAINED
+from policy.cards import PRETRAINED
 from policy.distillation import DistillationSettings, distil
 from policy.network import HEAD, HIDDEN, N_MARKS, WIDTH
 from policy.planner import PlannerSettings, train_planner

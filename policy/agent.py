@@ -40,7 +40,7 @@ class Agent:
     ----------
     network : as ``checkpoint.load`` gives it.
     ear : how it hears verdicts.
-    world : the map it was trained on (``checkpoint.check_fits``).
+    world : the map it was trained on (``cards.check_fits``).
     """
 
     def __init__(self, network: Actor, ear: Ear, world: GridWorld) -> None:

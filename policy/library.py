@@ -18,7 +18,8 @@ from bci_app.gridworld import GridWorld, load_map
 from bci_app.progress import Progress
 from policy import teachers
 from policy.actor_critic import ActorCriticSettings
-from policy.checkpoint import SUFFIX, Recipe, check_fits, load, policy_name
+from policy.cards import SUFFIX, Recipe, check_fits, policy_name
+from policy.checkpoint import load
 from policy.distillation import DistillationSettings
 from policy.planner import PlannerSettings
 from policy.recitation import RecitationSettings

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from bci_app.errors import SetupError
 from bci_app.gridworld import GridWorld
-from policy import checkpoint, teachers
+from policy import cards, checkpoint, teachers
 from policy.baselines import BayesPlayer, OraclePlayer, PlannerPlayer, ReplanningPlayer, SearchPlayer
 from policy.evaluation import NetworkPlayer, Player
 from policy.simulator import pair_weights
@@ -21,7 +21,7 @@ def player_of(
 
     Parameters
     ----------
-    name : one of `BASELINES`, or a policy's as `checkpoint.named` knows it.
+    name : one of `BASELINES`, or a policy's as `cards.named` knows it.
     draw : verdicts as the decoder gives them.
     accuracy : the decoder's, by which the name ``accuracy`` chooses.
 
@@ -29,8 +29,8 @@ def player_of(
     """
     if name in BASELINES:
         return _baseline(name, world, folder), draw
-    card = checkpoint.named(name, world, accuracy, folder, f"one of {', '.join(BASELINES)}, ")
-    checkpoint.check_fits(card, world)
+    card = cards.named(name, world, accuracy, folder, f"one of {', '.join(BASELINES)}, ")
+    cards.check_fits(card, world)
     assert card.path is not None
     network, _ = checkpoint.load(card.path)
     trained = Verdicts.parse(card.verdicts)

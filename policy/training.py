@@ -16,7 +16,8 @@ from bci_app.errors import SetupError
 from bci_app.gridworld import GridWorld
 from policy import teachers
 from policy.actor_critic import ActorCriticSettings, train_actor_critic
-from policy.checkpoint import PolicyCard, Recipe, pack, policy_name, rounded, unpack
+from policy.cards import PolicyCard, Recipe, policy_name
+from policy.checkpoint import pack, rounded, unpack
 from policy.distillation import DistillationSettings, distil
 from policy.evaluation import NetworkPlayer, evaluate
 from policy.network import Actor, Network, PaperNetwork, ToldNetwork

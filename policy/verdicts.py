@@ -12,7 +12,6 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
-from scipy.stats import norm
 
 from bci_app.errors import SetupError
 
@@ -64,7 +63,8 @@ def score_information(accuracy: Probabilities) -> NDArray[np.float64]:
 def _score_bits() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     grid, x = np.linspace(0, separation(1.0), 400), np.linspace(-16, 16, 3201)
     p_error = 1 / (1 + np.exp(-grid[:, None] * x))
-    left = norm.pdf(x - grid[:, None] / 2) * _entropy(p_error)
+    normal = np.exp(-0.5 * (x - grid[:, None] / 2) ** 2) / np.sqrt(2 * np.pi)
+    left = normal * _entropy(p_error)
     return grid, 1 - np.trapezoid(left, x, axis=1)
 
 

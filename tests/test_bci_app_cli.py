@@ -1,12 +1,14 @@
 """A user's mistakes: one clear sentence, exit code 2, no traceback, nothing written over."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from conftest import Cli
 
 from bci_app.gridworld import load_map
-from policy.checkpoint import choose_told
+from policy.cards import choose_told
 
 
 def refused(cli: Cli, *words: object) -> str:
@@ -66,9 +68,8 @@ def test_help_and_configuration_need_nothing(cli: Cli) -> None:
     assert cli("--version").stdout.startswith("bci-app 0.")
 
 
-def test_the_stimulus_does_not_load_torch(cli: Cli) -> None:
-    import subprocess
-    import sys
-
-    code = "import sys, stimulus.process; sys.exit('torch' in sys.modules or 'sklearn' in sys.modules)"
+@pytest.mark.parametrize("modules", ["stimulus.process", "bci_app.session, bci_app.verbs, policy.cards, decoder.model"])
+def test_who_shows_and_who_conducts_wait_for_no_torch(modules: str) -> None:
+    """It takes seconds to load."""
+    code = f"import sys, {modules}; sys.exit('torch' in sys.modules or 'sklearn' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

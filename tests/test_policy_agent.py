@@ -183,7 +183,8 @@ def test_a_told_policy_that_is_told_nothing_has_no_belief_of_its_own():
 def test_the_shipped_policy_believes_nearly_what_bayes_rule_says():
     """The auxiliary head is shipped with its weights: total variation 0.12 to 0.14 in the mean over real episodes."""
     from policy.belief import Belief
-    from policy.checkpoint import choose_told, load
+    from policy.cards import choose_told
+    from policy.checkpoint import load
 
     found, _ = load(choose_told(OBSTACLES).path)
     agent = Agent(found, ear("told", TOLD), OBSTACLES)

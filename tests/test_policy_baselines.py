@@ -8,7 +8,7 @@ from bci_app.gridworld import compile_map, load_map
 from bci_app.told import Told
 from policy import checkpoint, teachers
 from policy.baselines import BayesPlayer, OraclePlayer, PlannerPlayer, SearchPlayer
-from policy.checkpoint import PolicyCard
+from policy.cards import PolicyCard
 from policy.ear import Ear
 from policy.evaluation import NetworkPlayer, evaluate
 from policy.network import Network

@@ -11,21 +11,17 @@ from safetensors.torch import save_file
 
 from bci_app.errors import SetupError
 from bci_app.gridworld import compile_map, load_map
-from policy.checkpoint import (
+from policy.cards import (
     PolicyCard,
     check_fits,
     choose_by_accuracy,
     choose_told,
     choose_without,
     library,
-    load,
-    pack,
     policy_name,
     read_card,
-    rounded,
-    unpack,
-    write,
 )
+from policy.checkpoint import load, pack, rounded, unpack, write
 from policy.network import Network, PaperNetwork, ToldNetwork
 from policy.verdicts import Verdicts
 

@@ -13,7 +13,8 @@ from bci_app.gridworld import load_map
 from decoder.calibration import calibrate
 from decoder.chain import design
 from decoder.model import make_model, save
-from policy.checkpoint import PolicyCard, pack, write
+from policy.cards import PolicyCard
+from policy.checkpoint import pack, write
 from policy.network import Network
 
 

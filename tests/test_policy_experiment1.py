@@ -10,7 +10,8 @@ from matplotlib.image import imread
 from bci_app.errors import SetupError
 from bci_app.gridworld import load_map
 from policy import teachers
-from policy.checkpoint import PolicyCard, pack, write
+from policy.cards import PolicyCard
+from policy.checkpoint import pack, write
 from policy.experiment1 import published
 from policy.experiment1.tables import TABLES, run
 from policy.network import HIDDEN, Network, PaperNetwork

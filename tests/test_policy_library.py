@@ -19,7 +19,8 @@ from bci_app.errors import SetupError
 from bci_app.gridworld import load_map
 from policy import library, teachers, workers
 from policy.actor_critic import ActorCriticSettings
-from policy.checkpoint import load, pack, read_card, unpack, write
+from policy.cards import read_card
+from policy.checkpoint import load, pack, unpack, write
 from policy.distillation import DistillationSettings
 from policy.evaluation import NetworkPlayer, evaluate
 from policy.library import TOLD, WITHOUT, Backend, Settings, train

@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from bci_app.gridworld import SHIPPED_MAPS, load_map
-from policy.checkpoint import PRETRAINED, check_fits, library, load, policy_name
+from policy.cards import PRETRAINED, check_fits, library, policy_name
+from policy.checkpoint import load
 from policy.evaluation import Result, evaluate
 from policy.library import WITHOUT, everything
 from policy.players import player_of

@@ -14,7 +14,7 @@ from bci_app.gridworld import load_map
 from bci_app.protocol import BlockEnd, Electrodes, EpisodeStart, SessionEnd
 from bci_app.recording import read
 from bci_app.runs import read_sidecar
-from policy.checkpoint import choose_told
+from policy.cards import choose_told
 
 TOLD = "0.7:0.8:0.2"  # hit, correct rejection, bits
 

@@ -21,7 +21,7 @@ from bci_app.study.conduct import names_of
 from bci_app.study.parts import Kept
 from decoder.attention import Attention
 from decoder.model import DecoderModel, load, save
-from policy import checkpoint
+from policy import cards
 
 OPEN = load_map("open")
 SMALL = {
@@ -60,7 +60,7 @@ def test_a_calibration_is_whole(calibration: Recording, decoder: DecoderModel) -
 
 
 def test_an_online_run_is_the_same_each_time_and_ends_at_the_goals(decoder: DecoderModel) -> None:
-    card = checkpoint.choose_told(OPEN)
+    card = cards.choose_told(OPEN)
     assert card.path is not None
     told = str(decoder.info.evidence.told)
     runs = [alone.online(CONFIG, "P1", 5, OPEN, decoder, card.path, told) for _ in range(2)]
@@ -73,7 +73,7 @@ def test_an_online_run_is_the_same_each_time_and_ends_at_the_goals(decoder: Deco
 
 
 def test_who_hears_no_verdicts_moves_the_same_without_eeg(decoder: DecoderModel) -> None:
-    card = checkpoint.choose_without(OPEN)
+    card = cards.choose_without(OPEN)
     assert card.path is not None
     silent = alone.online(CONFIG, "P1", 5, OPEN, None, card.path, None)
     judged = alone.online(CONFIG, "P1", 5, OPEN, decoder, card.path, None)

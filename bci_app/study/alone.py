@@ -18,7 +18,7 @@ from decoder.amplifier import make_participant
 from decoder.attention import Attention
 from decoder.judge import judge_with, judge_without
 from decoder.model import DecoderModel
-from policy import checkpoint
+from policy import cards, checkpoint
 from policy.agent import Agent
 from policy.ear import Ear
 from policy.navigator import Navigator
@@ -72,7 +72,7 @@ def online(
     config = for_run(config, seed)
     paradigm = Paradigm.online(config, world, SESSION, participant, seed)
     network, card = checkpoint.load(policy)
-    checkpoint.check_fits(card, world)
+    cards.check_fits(card, world)
     ear = Ear(Verdicts.parse(card.verdicts), Told.parse(told) if told else None)
     navigator = Navigator(Agent(network, ear, world), world, SESSION)
     moments = moments or Ideal()

@@ -12,7 +12,7 @@ from bci_app.study.plan import Condition
 from decoder import model
 from decoder.calibration import Calibration
 from decoder.classifier import LinearClassifier, fit
-from policy import checkpoint
+from policy import cards
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -48,17 +48,17 @@ def choose(
     """
     accuracy, balanced = float(info.tenfold["accuracy"]["value"]), float(info.blocked["balanced_accuracy"]["value"])
     if condition == "none":
-        return _choice(checkpoint.choose_without(world), "no ErrP")
+        return _choice(cards.choose_without(world), "no ErrP")
     if condition == "paper":
         if accuracy < papers_gate:
-            return _choice(checkpoint.choose_without(world), f"{accuracy:.1%} is below the paper's gate")
-        return _choice(checkpoint.choose_by_accuracy(accuracy, world), f"trained nearest to {accuracy:.1%}")
+            return _choice(cards.choose_without(world), f"{accuracy:.1%} is below the paper's gate")
+        return _choice(cards.choose_by_accuracy(accuracy, world), f"trained nearest to {accuracy:.1%}")
     if balanced < settings.gate_accuracy:
-        return _choice(checkpoint.choose_without(world), f"{balanced:.1%} is below our gate")
-    return _choice(checkpoint.choose_told(world), f"told {info.evidence.information:.2f} bits a verdict")
+        return _choice(cards.choose_without(world), f"{balanced:.1%} is below our gate")
+    return _choice(cards.choose_told(world), f"told {info.evidence.information:.2f} bits a verdict")
 
 
-def _choice(card: checkpoint.PolicyCard, reason: str) -> Choice:
+def _choice(card: cards.PolicyCard, reason: str) -> Choice:
     assert card.path is not None
     return Choice(card.path, card.name, card.verdicts != "none", reason)
 

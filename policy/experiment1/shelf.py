@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Literal
 
 from bci_app.gridworld import GridWorld
-from policy import checkpoint, teachers
+from policy import cards, checkpoint, teachers
 from policy.baselines import SearchPlayer
-from policy.checkpoint import PolicyCard, policy_name
+from policy.cards import PolicyCard, policy_name
 from policy.evaluation import NetworkPlayer, Player
 from policy.network import Actor
 from policy.verdicts import Verdicts
@@ -33,12 +33,12 @@ class Shelf:
         """A policy, or None where it is absent. SetupError when it can't be read or is of another map."""
         kind = Verdicts("told") if series == "told" else verdicts_of(accuracy)
         name = policy_name(self.world.name, kind, "paper" if series == "paper" else "ours")
-        path = self.folder / f"{name}{checkpoint.SUFFIX}"
+        path = self.folder / f"{name}{cards.SUFFIX}"
         if not path.is_file():
             self._note(self.absent, name)
             return None
         network, card = checkpoint.load(path)
-        checkpoint.check_fits(card, self.world)
+        cards.check_fits(card, self.world)
         return network, card
 
     def player(self, series: Series, trained: float | None) -> tuple[Player, Verdicts] | None:
@@ -60,7 +60,7 @@ class Shelf:
         """The search without verdicts, or None where the map's teacher is absent."""
         path = teachers.path_of(self.folder, self.world)
         if not path.is_file():
-            self._note(self.absent, path.name.removesuffix(checkpoint.SUFFIX))
+            self._note(self.absent, path.name.removesuffix(cards.SUFFIX))
             return None
         return SearchPlayer(teachers.load(self.folder, self.world).paths)
 
