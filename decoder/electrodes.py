@@ -42,6 +42,7 @@ class Examiner:
         samples: NDArray[np.floating],
         times: NDArray[np.float64],
         since: float,
+        before: Electrodes | None = None,
     ) -> Electrodes:
         """What is bad from this (episode, step) on. What lies before a gap isn't looked at: levels differ there.
 
@@ -49,18 +50,25 @@ class Examiner:
         ----------
         samples, times : (n_times, n_channels), uV, and (n_times,), raw stamps; the newest `n_window` or fewer.
         since : stamp of the EEG from which on samples are recorded for certain.
+        before : the decision that holds until then.
         """
         if not len(times):
-            return self.decide(key, samples, times)
+            return self.decide(key, samples, times, before)
         after_gap = np.flatnonzero(np.diff(times) > 2 * MAX_JITTER)[-1:] + 1
         first = max(int(np.searchsorted(np.maximum.accumulate(times), since)), *after_gap.tolist(), 0)
-        return self.decide(key, samples[first:], times[first:])
+        return self.decide(key, samples[first:], times[first:], before)
 
-    def decide(self, key: tuple[int, int], samples: NDArray[np.floating], times: NDArray[np.float64]) -> Electrodes:
-        """What is bad over exactly these samples; nothing where they are too few."""
+    def decide(
+        self,
+        key: tuple[int, int],
+        samples: NDArray[np.floating],
+        times: NDArray[np.float64],
+        before: Electrodes | None = None,
+    ) -> Electrodes:
+        """What is bad over exactly these samples; where they are too few, what was so before."""
         episode, step = key
         if len(samples) < self._inspector.n_least:
-            return Electrodes(session=self._session, episode=episode, step=step)
+            return Electrodes(session=self._session, episode=episode, step=step, bad=before.bad if before else {})
         qualities = self._inspector.inspect(np.asarray(samples, dtype=np.float64))
         faults = {
             quality.name: [fault for fault in quality.faults if not is_eog(quality.name) or fault in EOG_FAULTS]

@@ -18,7 +18,9 @@ from bci_app.protocol import (
     EpisodeStart,
     Link,
     MoveOnset,
+    Pause,
     Recall,
+    Resume,
     SessionEnd,
     SessionStart,
     Verdict,
@@ -116,7 +118,8 @@ class _Server:
         self._examiner = Examiner(peer.session, picked, eeg.description.sfreq)
         self._decisions: list[Electrodes] = []
         self._n_rejected = 0  # verdicts in a row since the electrodes were looked at
-        self._recorded_since = -np.inf
+        self._recorded_since = -np.inf  # stamp of the EEG
+        self._is_in_trouble = False  # the stimulus waits, and for no person
         self._judges: dict[MoveKey, Judge] = {}
         self._buffer: EpochBuffer[MoveKey] = EpochBuffer(judge.shape, n_channels, config.eeg.buffer_s)
         self._offsets: dict[MoveKey, float] = {}
@@ -225,6 +228,11 @@ class _Server:
                         self._recorded_since = item.stamp + offset() - RECORDED_S
                     case Continued() as continued:
                         self._forget_void(continued)
+                    case Pause() as pause:
+                        self._is_in_trouble = not pause.by_person
+                    case Resume() if self._is_in_trouble:
+                        # The recorder may have found the amplifier again later than this process did.
+                        self._recorded_since = item.stamp + offset()
                     case SessionEnd():
                         ended, ended_at = True, arrived
             if ended and arrived - ended_at > LOST_S:
@@ -236,7 +244,7 @@ class _Server:
         samples, times = self._buffer.trailing(self._examiner.n_window)
         self._n_rejected = 0
         before = self._electrodes
-        electrodes = self._examiner.examine(key, samples, times, self._recorded_since)
+        electrodes = self._examiner.examine(key, samples, times, self._recorded_since, before)
         self._peer.push(electrodes)
         self._decide(electrodes)
         for sentence in changes(before, electrodes):

@@ -8,6 +8,7 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 
 import numpy as np
+import pylsl
 import pytest
 from lsl_peers import LABELS, ForeignAmplifier, ForeignStimulus, Listener, lab_config, process, until
 
@@ -224,6 +225,16 @@ def test_an_amplifier_that_comes_back_costs_the_moves_it_missed_and_no_other(tmp
         amplifier.play_for(design(ChainConfig(), 250.0).n_before / 250)
         stimulus.move(3)
         until(lambda: len(verdicts.of("Verdict")) == 3, 15, "three verdicts", amplifier.play)
+        # What came before the stimulus went on may not be in the recording, and isn't looked at.
+        stimulus.say("Pause", reason="The decoder waits for EEG.")
+        resumed = pylsl.local_clock()
+        stimulus.say("Resume", resumed)
+        amplifier.play_for(6)
+        stimulus.say("EpisodeStart", episode=1, position=[5, 0], sensed=[False] * 5, max_steps=60)
+        until(lambda: len(verdicts.of("Electrodes")) == 2, 15, "a look at the electrodes", amplifier.play)
+    look = verdicts.of("Electrodes")[1]
+    assert look["last_time"] - (look["n_samples"] - 1) / 250 >= resumed
+    assert look["n_samples"] > 4 * 250
     outcomes = [verdict["outcome"] for verdict in verdicts.of("Verdict")]
     assert outcomes == ["unjudged", "rejected", "unjudged"]
 

@@ -51,6 +51,11 @@ def test_nothing_is_decided_on_too_little(eeg: tuple[np.ndarray, np.ndarray]) ->
     assert examiner.examine(START, samples[:900], times[:900], since=-np.inf) == nothing
     assert examiner.examine(START, samples[:2500], times[:2500], since=times[2000]) == nothing
     assert examiner.again(nothing, samples, times) == nothing
+    # What held before holds on.
+    before = Electrodes(session="s", episode=2, bad={"Fz": ["flat"]}, last_time=times[9], n_samples=10)
+    held = examiner.examine(START, samples[:2500], times[:2500], since=times[2000], before=before)
+    assert held == Electrodes(session="s", episode=3, bad={"Fz": ["flat"]})
+    assert examiner.again(held, samples, times) == held
 
 
 @settings(max_examples=25, deadline=None)

@@ -193,6 +193,7 @@ class Loop:
     _since: float = -np.inf
     _n_rejected: int = 0
     _examiner: Examiner | None = None
+    _electrodes: Electrodes | None = None
 
     def run(self, begin: float) -> tuple[tuple[float, Message], ...]:
         """Make the run, from session time `begin` to its end; its messages in order of their stamps.
@@ -275,7 +276,7 @@ class Loop:
         stop = self.stream.number(until) + 1
         first = max(0, stop - self._examiner.n_window, self.stream.number(after) + 1)
         samples, times = self.stream.window(first, max(first, stop))
-        electrodes = self._examiner.decide(key, samples.astype(np.float64), times)
+        self._electrodes = electrodes = self._examiner.decide(key, samples.astype(np.float64), times, self._electrodes)
         self.judge = self.judge.with_bad(electrodes.bad)
         self._n_rejected = 0
         self.messages.append((now, electrodes))
