@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import Cli
+from dask.distributed import LocalCluster
 
 from bci_app import fitting
 from bci_app.config import Config, SimulationConfig, changed
@@ -15,10 +16,12 @@ from bci_app.gridworld import load_map
 from bci_app.metrics import truths
 from bci_app.protocol import Action, Electrodes, EpisodeEnd, EpisodeGoal, SessionEnd, SessionStart, Truth, Verdict
 from bci_app.recording import Recording, read
+from bci_app.rehearsing import likeness_of
 from bci_app.runs import read_sidecar
 from bci_app.study import alone, plan, running
 from bci_app.study.conduct import names_of
 from bci_app.study.parts import Kept
+from decoder import rehearsal_file
 from decoder.attention import Attention
 from decoder.model import DecoderModel, load, save
 from policy import cards
@@ -143,6 +146,29 @@ def test_a_study_in_one_process_is_kept_and_shown_and_goes_on(tmp_path: Path) ->
     assert not np.array_equal(ours.classifier.weights, papers.classifier.weights)
     assert kept.parts["calibration"]["tenfold"] == ours.info.tenfold
     assert kept.parts["calibration"]["paper"]["tenfold"] == papers.info.tenfold
+
+
+def test_somebody_rehearsed_takes_part(calibration: Recording, tmp_path: Path) -> None:
+    """Learnt from a calibration of 60 moves; the same person gives another calibration and goes online."""
+    likeness, _ = likeness_of(calibration, CONFIG, lambda what, done, of: None)
+    rehearsal_file.save(likeness, tmp_path / "P1_person.safetensors", "P1", "0" * 64)
+    people = [{"name": "R1", "kind": "rehearsed", "recording": str(tmp_path / "P1_person.safetensors"), "seed": 2}]
+    study = small_study(tmp_path / "study", conditions=["none", "ours"], participants=people)
+    told = running.run(study, "one-process", None, "local", None, lambda what, done, of: None)
+    assert told["unfinished"] == []
+    assert told["participants"]["R1"]["ours"]["open"]["participants"] == 1
+    parts = Kept.of(study, study.participants[0], "one-process").parts
+    assert parts["calibration"]["n_moves"] == 60
+    assert parts["calibration"]["contiguous"]["auc"]["value"] > 0.6
+
+
+def test_a_study_on_a_cluster_is_kept_here(tmp_path: Path) -> None:
+    study = small_study(tmp_path, conditions=["none"])
+    cluster = {"processes": False, "threads_per_worker": 1, "host": "127.0.0.1", "protocol": "tcp://"}
+    with LocalCluster(n_workers=1, dashboard_address=None, **cluster) as made:
+        told = running.run(study, "one-process", None, "dask", made.scheduler_address, lambda what, done, of: None)
+    assert told["unfinished"] == []
+    assert set(Kept.of(study, study.participants[0], "one-process").parts) == {"calibration", "none open"}
 
 
 def test_what_is_kept_of_another_study_is_refused(tmp_path: Path) -> None:
