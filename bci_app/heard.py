@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from bci_app.move_set import MoveSet
 from bci_app.protocol import (
     Action,
     AnyMessage,
@@ -27,9 +28,6 @@ from bci_app.protocol import (
 )
 from bci_app.recording import Recording
 from bci_app.said import place_after
-
-Key = tuple[int, int]
-"""(episode, step)."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +68,8 @@ class Heard:
         self._roles = roles
         self._states: dict[str, Status] = {}
         self._episodes: set[int] = set()  # that have ended
-        self._actions: set[Key] = set()
-        self._moves: set[Key] = set()
-        self._verdicts: dict[Key, str] = {}
+        self._actions, self._moves, self._judged = MoveSet(), MoveSet(), MoveSet()
+        self._outcomes: dict[str, MoveSet] = {}  # those that are judged, by how
         self.start: SessionStart | None = None
         self.end: SessionEnd | None = None
         self.rejected_in_a_row = 0
@@ -120,9 +117,10 @@ class Heard:
     def _take_verdict(self, verdict: Verdict) -> None:
         """Of two on one move, from a decoder that was started again, the first counts."""
         key = verdict.episode, verdict.step
-        if key in self._verdicts:
+        if key in self._judged:
             return
-        self._verdicts[key] = verdict.outcome
+        self._judged.add(key)
+        self._outcomes.setdefault(verdict.outcome, MoveSet()).add(key)
         self.last_reason = verdict.reason
         if verdict.outcome != "rejected":
             self.rejected_in_a_row = 0
@@ -131,9 +129,9 @@ class Heard:
 
     def _drop_void(self, continued: Continued) -> None:
         place = place_after(continued)
-        self._moves = {key for key in self._moves if key <= place}
-        self._verdicts = {key: outcome for key, outcome in self._verdicts.items() if key <= place}
-        self._actions = {(episode, step) for episode, step in self._actions if (episode, step - 1) <= place}
+        for moves in (self._moves, self._judged, *self._outcomes.values()):
+            moves -= {key for key in moves if key > place}
+        self._actions -= {(episode, step) for episode, step in self._actions if (episode, step - 1) > place}
 
     @property
     def moves(self) -> int:
@@ -143,7 +141,7 @@ class Heard:
     @property
     def verdicts(self) -> Counter[str]:
         """How many of each outcome."""
-        return Counter(self._verdicts.values())
+        return Counter({outcome: len(moves) for outcome, moves in self._outcomes.items() if moves})
 
     def all_ready(self) -> bool:
         """Whether every process says that it is connected to those it needs."""
@@ -155,7 +153,7 @@ class Heard:
 
     def all_judged(self) -> bool:
         """Whether every move has its verdict."""
-        return self._moves <= self._verdicts.keys()
+        return self._moves <= self._judged
 
     def whereabouts(self) -> str:
         """One sentence on where each process is, for when it doesn't go on."""
@@ -183,14 +181,14 @@ class Heard:
 
         Where our own stimulus ran, `has_truth`, each of its moves must have a truth and a marker there.
         """
-        heard: tuple[tuple[str, set[Key], type[MoveOnset | Verdict | Action]], ...] = (
+        heard: tuple[tuple[str, MoveSet, type[MoveOnset | Verdict | Action]], ...] = (
             ("moves", self._moves, MoveOnset),
-            ("verdicts", set(self._verdicts), Verdict),
+            ("verdicts", self._judged, Verdict),
             ("actions", self._actions, Action),
         )
         lost = []
         for name, keys, kind in heard:
-            missing = keys - {(message.episode, message.step) for _, message in recording.of(kind)}
+            missing = set(keys) - {(message.episode, message.step) for _, message in recording.of(kind)}
             if missing:
                 lost.append(f"{len(missing)} of {len(keys)} {name} are not in it.")
         moves = {(message.episode, message.step): stamp for stamp, message in recording.of(MoveOnset)}

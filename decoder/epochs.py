@@ -260,6 +260,10 @@ class EpochBuffer(Generic[Key]):
         """A move that needs no epoch any more: `expect` will ignore it."""
         self._known.add(key)
 
+    def done_with(self, is_over: Callable[[Key], bool]) -> None:
+        """Moves so long ago that nobody announces them again: those that wait for nothing needn't be known any more."""
+        self._known = {key for key in self._known if key in self._waiting or not is_over(key)}
+
     def forget(self, void: Callable[[Key], bool]) -> None:
         """Moves that haven't happened: their epochs aren't cut, and their keys may be used anew."""
         self._known = {key for key in self._known if not void(key)}

@@ -223,7 +223,7 @@ class _Server:
                             self._examine((move.episode, move.step))
                         self._expect((move.episode, move.step), item.stamp, offset())
                     case EpisodeStart() as start:
-                        self._examine((start.episode, 0))
+                        self._begin(start.episode)
                     case SessionStart():
                         self._recorded_since = item.stamp + offset() - RECORDED_S
                     case Continued() as continued:
@@ -238,6 +238,10 @@ class _Server:
             if ended and arrived - ended_at > LOST_S:
                 self._buffer.abandon("its samples never came")
             self._answer(arrived)
+
+    def _begin(self, episode: int) -> None:
+        self._buffer.done_with(lambda key: key[0] < episode - 1)
+        self._examine((episode, 0))
 
     def _examine(self, key: MoveKey) -> None:
         """Decide which electrodes are bad; the moves from this one on are judged without them."""

@@ -290,3 +290,12 @@ def test_void_moves_may_come_again_and_judged_ones_are_known() -> None:
     assert buffer.expect((0, 3), 5012.0)
     assert [key for key, _ in buffer.poll()] == [(0, 3)]
     assert not buffer.expect((0, 1), 5010.0)
+
+
+def test_what_is_long_over_is_not_kept_but_what_waits_is() -> None:
+    buffer: EpochBuffer[tuple[int, int]] = EpochBuffer(SHAPE, 3, capacity_s=30)
+    buffer.know((0, 1))
+    assert buffer.expect((0, 2), 5031.0)
+    buffer.done_with(lambda key: key[0] < 1)
+    assert not buffer.expect((0, 2), 5031.0)
+    assert buffer.expect((0, 1), 5031.0)
