@@ -45,7 +45,7 @@ class Recording:
     times : float64, (n_times,), raw stamps in seconds.
     messages : of all our streams that count (`said.without_void`), ordered by stamp.
     damage : sentences about what is missing or unreadable; empty for a whole file.
-    markers : (stamp, code) of the int32 stream, all of them, in the order they were recorded.
+    markers : (stamp, code) of the int32 stream, each once, in the order they were recorded.
     """
 
     path: Path
@@ -210,9 +210,10 @@ def _retold(found: list[Stamped]) -> list[Stamped]:
 
 
 def _markers(streams: list[dict[str, Any]]) -> tuple[tuple[float, int], ...]:
-    return tuple(
+    found = (
         (float(stamp), int(sample[0]))
         for stream in streams
         if stream["info"]["name"][0] == MARKERS.name
         for stamp, sample in zip(stream["time_stamps"], stream["time_series"], strict=True)
     )
+    return tuple(dict.fromkeys(found))  # a stimulus that was started again says the last one once more

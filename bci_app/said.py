@@ -65,19 +65,21 @@ def without_void(items: Iterable[T], message_of: Callable[[T], Message]) -> list
     """Those that count, of all in the order in which they were said.
 
     Where a decoder was started again there may be two verdicts on a move: the first counts, for the policy acted on it.
+    A stimulus that was started again tells the last truth once more.
     """
     kept: list[T] = []
-    judged: set[Place] = set()
+    known: set[tuple[type[Message], Place]] = set()
     for item in items:
         message = message_of(item)
         if isinstance(message, Continued):
             kept = [before for before in kept if not is_void(message_of(before), message)]
-            judged = {place for place in judged if place <= place_after(message)}
-        elif isinstance(message, Verdict):
-            place = message.episode, message.step
-            if place in judged:
+            known = {each for each in known if each[1] <= place_after(message)}
+        elif isinstance(message, Verdict | Truth | EpisodeGoal):
+            place = place_of(message)
+            assert place is not None, "all three have one"
+            if (type(message), place) in known:
                 continue
-            judged.add(place)
+            known.add((type(message), place))
         kept.append(item)
     return kept
 

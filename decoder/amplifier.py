@@ -80,6 +80,7 @@ class _Player:
         # Of moves of which the other isn't known yet.
         self._truths: dict[tuple[int, int], tuple[float, Truth]] = {}
         self._positions: dict[tuple[int, int], Position] = {}
+        self._last_truth: tuple[float, Truth] | None = None
         self._noise = np.random.default_rng(config.simulation.run)
         self._photodiode = Photodiode(config, self._t0, self._participant.sfreq)
         n_eeg, others = len(names), self._photodiode.names
@@ -123,7 +124,9 @@ class _Player:
             self._peer.rest(timeout)
             return
         for item in self._peer.hear(self._truth, timeout):
-            if isinstance(item.message, Truth):
+            is_again = (item.stamp, item.message) == self._last_truth  # of a stimulus that was started again
+            if isinstance(item.message, Truth) and not is_again:
+                self._last_truth = item.stamp, item.message
                 self._photodiode.jump(item.stamp)
                 if self._attention.is_even:
                     self._respond(item.stamp, item.message, 1.0)

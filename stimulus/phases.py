@@ -1,5 +1,6 @@
 """Where in a run the paradigm is, and what it hands to the shell."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Literal
@@ -9,9 +10,9 @@ from bci_app.protocol import Message
 
 @dataclass(frozen=True)
 class Outgoing:
-    """A message to send, on which stream, with which stamp (session seconds)."""
+    """A message to send, on which stream, with which stamp (session seconds); of one for `marker` only its code."""
 
-    stream: Literal["stimulus", "truth"]
+    stream: Literal["stimulus", "truth", "marker"]
     message: Message
     stamp: float
 
@@ -61,6 +62,10 @@ class Outbox:
         """Add a message and what the truth stream says at the same time."""
         self.put(messages[0], stamp)
         self.put(messages[1], stamp, "truth")
+
+    def again(self, said: Iterable[Outgoing]) -> None:
+        """Add what was said before, with the stamps it had."""
+        self._waiting += said
 
     def not_before(self, stamp: float) -> None:
         """No later message gets an earlier stamp."""

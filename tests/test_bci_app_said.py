@@ -8,6 +8,7 @@ from bci_app.protocol import (
     Continued,
     Electrodes,
     EpisodeEnd,
+    EpisodeGoal,
     EpisodeStart,
     Message,
     MoveOnset,
@@ -120,6 +121,17 @@ def test_of_two_verdicts_on_a_move_the_first_counts_unless_it_is_void() -> None:
     assert without_void(story, lambda message: message) == story[:3]
     again: list[Message] = [Continued(session="s", episode=0, step=0), move(0, 1), late]
     assert without_void([*story, *again], lambda message: message) == [start(0), *again]
+
+
+def test_what_is_told_twice_of_goal_and_truth_counts_once() -> None:
+    goal = EpisodeGoal(session="s", episode=0, goal=(3, 3), distance=6)
+    truth = Truth(session="s", episode=0, step=1, error=True, distance=7)
+    story: list[Message] = [start(0), goal, move(0, 1), truth]
+    here = Continued(session="s", episode=0, step=1)
+    assert without_void([*story, truth, goal, here, truth], lambda message: message) == [*story, here]
+    # One that is void comes anew.
+    earlier, other = here.model_copy(update={"step": 0}), truth.model_copy(update={"error": False})
+    assert without_void([*story, earlier, other], lambda message: message) == [start(0), goal, earlier, other]
 
 
 def test_an_episode_that_ended_stays_ended() -> None:
