@@ -5,8 +5,8 @@
 Messages of every type are mutated in their bytes and in their JSON, and decoded; the files are a decoder, a
 configuration, a map and a recording, each mutated in its bytes, and read. Right is either the proper refusal
 (BadMessage, SetupError) in one sentence, or an acceptance that is right: a message that says the same when it is
-encoded again, a decoder that is to the bit the one that was written, a recording that holds nothing it didn't hold
-before.
+encoded again, a decoder that is to the bit the one that was written, a recording whose damage is told and which holds
+nothing it didn't hold before.
 """
 
 import argparse
@@ -41,7 +41,7 @@ from bci_app.protocol import (
     encode,
 )
 from bci_app.recording import read
-from bci_app.runs import write_sums
+from bci_app.runs import sums_of, write_sums
 from bci_app.terminal import progress_bar
 from decoder import model as models
 from decoder.calibration import calibrate
@@ -148,8 +148,10 @@ class Files:
 
     def _recording(self, path: Path) -> bool:
         found = read(path, allow_damage=True)
+        is_told = bool(found.damage) or path.read_bytes() == self.whole.path.read_bytes()
         stamps = {stamp for stamp, _ in self.whole.of(Message)}
-        return all(stamp in stamps for stamp, _ in found.of(Message)) and len(found.times) <= len(self.whole.times)
+        is_less = all(stamp in stamps for stamp, _ in found.of(Message)) and len(found.times) <= len(self.whole.times)
+        return is_told and is_less
 
 
 def check_file(path: Path, reader: Callable[[Path], bool]) -> str:
@@ -199,8 +201,11 @@ def main() -> None:
             path = Path(folder) / f"mutated-{number}{''.join(origin.suffixes)}"
             contents = mutated(whole[name], rng)
             path.write_bytes(contents)
+            if name == "recording":  # its checksums, as beside every recording: without them a changed stamp is a stamp
+                shutil.copy(sums_of(origin), sums_of(path))
             judged(name, lambda path=path, reader=reader: check_file(path, reader), contents)
             path.unlink()
+            sums_of(path).unlink(missing_ok=True)
             if number % 100 == 0:
                 show("files", number, options.files)
     print("| what | outcome | how many | slowest, s |\n|---|---|---|---|")
