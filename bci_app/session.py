@@ -39,6 +39,7 @@ from bci_app.protocol import (
     Role,
 )
 from bci_app.recorder import Recorder
+from bci_app.recording import Recording
 from bci_app.runs import free_reserve, reserve, write_sidecar
 from bci_app.supervisor import STREAM_OF, Supervisor
 from bci_app.verifying import verify
@@ -66,8 +67,8 @@ TAIL_S = 1.5
 """Real seconds between the last message and closing the file: LabRecorder writes in batches of half a second."""
 
 
-def conduct(plan: Plan, progress: Progress) -> Outcome:
-    """Conduct a run from start to closed and verified recording.
+def conduct(plan: Plan, progress: Progress) -> tuple[Outcome, Recording]:
+    """Conduct a run from start to closed and verified recording; how it went, and the recording as it was read back.
 
     Raises SetupError or LinkLost; KeyboardInterrupt passes through after everything is closed. In each case what was
     recorded until then is readable and its sidecar says how the run ended.
@@ -93,7 +94,8 @@ def conduct(plan: Plan, progress: Progress) -> Outcome:
         raise type(failure)(f"{failure} {conductor.verified}".strip()) from failure
     if conductor.missing:
         raise LinkLost(f"{plan.run.xdf} is not what was heard while it was recorded: {' '.join(conductor.missing)}")
-    return conductor.outcome()
+    assert conductor.recording is not None, "what can't be read is missing"
+    return conductor.outcome(), conductor.recording
 
 
 def _log_to(path: Path) -> None:
@@ -143,6 +145,8 @@ class _Conductor:
         self.verified = ""
         self.missing: list[str] = []
         """What was heard and is not in the file, in sentences; known once it is closed."""
+        self.recording: Recording | None = None
+        """The file, once it is closed."""
 
     def _lead_s(self) -> float:
         """Real seconds of EEG that must be recorded before a pause ends: the rest comes until the next move."""
@@ -396,7 +400,7 @@ class _Conductor:
             self.progress("checking the recording", 0, 1)
             is_ours = "stimulus" not in self.plan.remote
             finding = verify(path, self.heard, self.config.eeg.stream_type, is_ours)
-            self.verified, self.missing = finding.sentence, finding.missing
+            self.verified, self.missing, self.recording = finding.sentence, finding.missing, finding.recording
             found = {"sha256": finding.sha256, "bytes": path.stat().st_size, "missing": self.missing}
         return asdict(self.outcome(), dict_factory=_plain) | {"state": "closed"} | found
 

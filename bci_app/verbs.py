@@ -18,7 +18,7 @@ from bci_app.lsl import describe, find_eeg
 from bci_app.plan import Disturb, Plan, Task
 from bci_app.progress import Progress
 from bci_app.protocol import Role
-from bci_app.recording import read
+from bci_app.recording import Recording, read
 from bci_app.resuming import Stopped, find
 from bci_app.runs import check_label, new_run
 from bci_app.session import conduct
@@ -72,7 +72,7 @@ def calibrate(wishes: Wishes, progress: Progress, look: Look | None = None) -> d
         _look_at_eeg(wishes.config)
     goes_on = _stopped(wishes, "calibration")
     plan = _plan(wishes, "calibration", wishes.config.calibration.map)
-    told = _told(conduct(replace(plan, look=look, goes_on=goes_on), progress))
+    told = _told(conduct(replace(plan, look=look, goes_on=goes_on), progress)[0])
     return told | {"recordings": [*map(str, goes_on.recordings if goes_on else ()), told["recording"]]}
 
 
@@ -95,6 +95,18 @@ def online(
 
     Raises SetupError for a missing or unfit model or policy.
     """
+    return online_run(wishes, map_name, model_path, policy, below_gate, progress)[0]
+
+
+def online_run(
+    wishes: Wishes,
+    map_name: str,
+    model_path: Path | None,
+    policy: str | None,
+    below_gate: bool,
+    progress: Progress,
+) -> tuple[dict[str, Any], Recording]:
+    """As `online`; and the run's recording, which was read anyway."""
     wishes = _checked(wishes)
     world = load_map(map_name)
     from decoder.model import fit_stream, load
@@ -116,23 +128,24 @@ def online(
     plan = _plan(wishes, "online", map_name, path, card.path)
     plan = replace(plan, told=str(model.info.evidence.told), goes_on=goes_on)
     progress(f"policy {card.name}: {reason}", 0, 1)
-    outcome = conduct(plan, progress)
+    outcome, recording = conduct(plan, progress)
     complete = outcome.reason == "complete"
     eeg_type = wishes.config.eeg.stream_type
-    recordings = (*(goes_on.recordings if goes_on else ()), outcome.recording)
-    runs = [read(recording, allow_damage=True, eeg_type=eeg_type) for recording in recordings] if complete else []
+    before = goes_on.recordings if goes_on else ()
+    runs = [*(read(each, allow_damage=True, eeg_type=eeg_type) for each in before), recording]
     figures = metrics.online(runs) if complete else {}
     whose = model.info.participant
     others = () if whose == wishes.participant else (f"The decoder is participant {whose}'s.",)
-    return _told(outcome) | {
+    told = _told(outcome) | {
         "notes": [*outcome.notes, *others],
-        "recordings": [str(recording) for recording in recordings],
+        "recordings": [*map(str, before), str(outcome.recording)],
         "figures": figures,
         "policy": card.name,
         "policy_reason": reason,
         "model": str(path),
         "cross_validated_accuracy": float(model.info.blocked["accuracy"]["value"]),
     }
+    return told, recording
 
 
 def _as_before(

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from bci_app.errors import SetupError
 from bci_app.heard import Heard
-from bci_app.recording import read
+from bci_app.recording import Recording, read
 from bci_app.runs import checksum, write_sums
 
 
@@ -18,11 +18,13 @@ class Finding:
     sentence : all of it in one.
     missing : what is missing or damaged, a sentence each.
     sha256 : of the file.
+    recording : as it was read; None where it couldn't be.
     """
 
     sentence: str
     missing: list[str]
     sha256: str
+    recording: Recording | None
 
 
 def verify(path: Path, heard: Heard, eeg_type: str, has_truth: bool) -> Finding:
@@ -41,6 +43,7 @@ def verify(path: Path, heard: Heard, eeg_type: str, has_truth: bool) -> Finding:
         missing.append(str(error))
     sha256 = checksum(path)
     if recording is None or missing:
-        return Finding(f"The recording isn't what was heard: {' '.join(missing)}", missing, sha256)
+        return Finding(f"The recording isn't what was heard: {' '.join(missing)}", missing, sha256, recording)
     counts = f"{heard.moves} moves, {heard.verdicts.total()} verdicts, {len(recording.times)} EEG samples"
-    return Finding(f"Read back: {counts}; nothing that was heard is missing. SHA-256 {sha256}.", [], sha256)
+    sentence = f"Read back: {counts}; nothing that was heard is missing. SHA-256 {sha256}."
+    return Finding(sentence, [], sha256, recording)

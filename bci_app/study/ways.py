@@ -8,7 +8,7 @@ from bci_app import fitting, verbs
 from bci_app.config import Config
 from bci_app.gridworld import load_map
 from bci_app.progress import Progress
-from bci_app.recording import Recording, read
+from bci_app.recording import Recording
 from bci_app.study import alone
 from bci_app.study.conditions import Choice
 from decoder import model
@@ -89,8 +89,7 @@ class ThroughProcesses:
     ) -> tuple[Recording, str]:
         """As `Way`."""
         wishes = self._wishes(config, participant, visit, seed)
-        told = verbs.online(wishes, map_name, decoder, str(choice.policy), True, self.progress)
+        told, recording = verbs.online_run(wishes, map_name, decoder, str(choice.policy), True, self.progress)
         if told["reason"] != "complete":
             raise Stopped(f"{told['reason']}: {told['text']} ({told['recording']})")
-        recording = read(Path(told["recording"]), eeg_type=config.eeg.stream_type)
         return recording, str(told["recording"])
