@@ -163,11 +163,11 @@ def _run(wanted: Wanted, eeg: EegDescription, has_light: bool, progress: Progres
     short: dict[str, Any] = {
         "recordings": str(folder),
         "stimulus": {
+            "person": False,
             "photon_delay_ms": 0.0,  # it is what is measured
             "set_up": None,
             "photodiode": wanted.config.stimulus.photodiode or ("top-left" if has_light else None),
         },
-        "calibration": {"wait_for_key": False},
         "online": {"distances": [FARTHEST - episodes + 1, FARTHEST], "max_steps": STEPS},
     }
     session = f"certify-{secrets.token_hex(4)}"

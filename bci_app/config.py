@@ -45,6 +45,9 @@ class StimulusConfig(Section):
     """Number of the display the window opens on."""
     headless: bool = False
     """Draw with SDL's dummy driver: no screen needed."""
+    person: bool = True
+    """Somebody sits before the window, reads and presses keys: else there are no pages, no practice and no breaks in an
+    online run. A simulation has nobody."""
     texts: Annotated[str, Field(min_length=1)] = "en"
     """What the participant reads: a language that is shipped (en), or a folder of text files of your own."""
     font: str | None = None
@@ -81,7 +84,7 @@ class CalibrationConfig(Section):
     stop_when_clear: bool = False
     """End after the block at which that is known, instead of after all."""
     wait_for_key: bool = True
-    """After the break wait for the person's key, where there is a window and a person."""
+    """After the break wait for the person's key, where there is a person; else the break alone ends it."""
     practice_moves: Annotated[int, Field(ge=0)] | None = None
     """Moves to practise on before the first block, which aren't recorded; by default 6, and none without a person."""
     eye_movements_s: Seconds = 0.0

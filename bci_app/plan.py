@@ -84,8 +84,8 @@ def for_session(plan: Plan, session: str) -> Config:
         update={"stream_type": "EEG", "stream_name": None, "source_id": simulated_source_id(session)}
     )
     simulation = plan.config.simulation.model_copy(update={"run": plan.seed})
-    calibration = plan.config.calibration.model_copy(update={"wait_for_key": False})
-    return plan.config.model_copy(update={"eeg": eeg, "calibration": calibration, "simulation": simulation})
+    stimulus = plan.config.stimulus.model_copy(update={"person": False})
+    return plan.config.model_copy(update={"eeg": eeg, "stimulus": stimulus, "simulation": simulation})
 
 
 def arguments(plan: Plan, role: Role, session: str, clock: Clock) -> list[str]:

@@ -41,6 +41,7 @@ from bci_app.protocol import (
 from bci_app.recorder import Recorder
 from bci_app.recording import Recording
 from bci_app.runs import free_reserve, reserve, write_sidecar
+from bci_app.set_up import check_stream
 from bci_app.supervisor import STREAM_OF, Supervisor
 from bci_app.verifying import verify
 from bci_app.vigil import GROW_TIMEOUT_S, Vigil
@@ -211,6 +212,8 @@ class _Conductor:
 
     def _record(self) -> None:
         eeg = describe(find_eeg(self.config.eeg, timeout=5.0))
+        if not self.plan.simulate:
+            check_stream(self.config, eeg.name)
         specs = [STIMULUS, TRUTH, MARKERS, VERDICTS, SESSION]
         specs += [ACTIONS_STREAM] if self.plan.task == "online" else []
         specs += [AMPLIFIER_NOTES] if self.plan.simulate else []

@@ -80,11 +80,8 @@ def applied(config: Config) -> Config:
                 f"The set-up file {path} was measured with {key} = {measured}, and now it is {found}: light comes at "
                 "another time there. Run `bci-app certify` again, or leave out stimulus.set_up."
             )
-    if set_up.stream != config.eeg.stream_name and config.eeg.stream_name is not None:
-        raise SetupError(
-            f"The set-up file {path} was measured with the EEG stream '{set_up.stream}', not "
-            f"'{config.eeg.stream_name}'. Run `bci-app certify` again, or leave out stimulus.set_up."
-        )
+    if config.eeg.stream_name is not None:
+        check_stream(config, config.eeg.stream_name)
     given = config.stimulus.photon_delay_ms
     if given not in (0.0, set_up.photon_delay_ms):
         raise SetupError(
@@ -93,6 +90,20 @@ def applied(config: Config) -> Config:
         )
     stimulus = config.stimulus.model_copy(update={"photon_delay_ms": set_up.photon_delay_ms})
     return config.model_copy(update={"stimulus": stimulus})
+
+
+def check_stream(config: Config, stream: str) -> None:
+    """Raise SetupError where the configuration names a set-up file that was measured with another EEG stream."""
+    if config.stimulus.set_up is None:
+        return
+    path = Path(config.stimulus.set_up)
+    measured = _read(path).stream
+    if measured != stream:
+        theirs = f"the EEG stream '{measured}'" if measured else "a simulated amplifier"
+        raise SetupError(
+            f"The set-up file {path} was measured with {theirs}, not with '{stream}': another amplifier is late by "
+            "another time. Run `bci-app certify` again, or leave out stimulus.set_up."
+        )
 
 
 def _read(path: Path) -> SetUp:

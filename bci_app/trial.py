@@ -31,7 +31,8 @@ def run(config: Config, model: Path | None, progress: Progress) -> list[dict[str
     folder = Path(tempfile.mkdtemp(prefix="bci-app-doctor-"))
     short: dict[str, Any] = {
         "recordings": str(folder),
-        "calibration": {"n_blocks": 1, "moves_per_block": N_MOVES, "wait_for_key": False},
+        "stimulus": {"person": False},
+        "calibration": {"n_blocks": 1, "moves_per_block": N_MOVES},
         "online": {"distances": [2, 2], "max_steps": N_MOVES},
     }
     wishes = verbs.Wishes(changed(config, short), PARTICIPANT)

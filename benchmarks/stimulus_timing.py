@@ -89,8 +89,8 @@ def main() -> None:
     parser.add_argument("--fullscreen", action="store_true")
     arguments = parser.parse_args()
     speed = 1.0 if arguments.window else arguments.speed
-    stimulus = {**SECONDS, "headless": not arguments.window, "fullscreen": arguments.fullscreen}
-    calibration = {"n_blocks": 1, "moves_per_block": arguments.moves, "wait_for_key": False}
+    screen = {"headless": not arguments.window, "fullscreen": arguments.fullscreen, "person": False}
+    stimulus, calibration = {**SECONDS, **screen}, {"n_blocks": 1, "moves_per_block": arguments.moves}
     config = changed(Config(), {"stimulus": stimulus, "calibration": calibration})
     times, peer, pace, size = measure(config, speed)
     clock, flips = peer.clock, np.array(times)

@@ -52,7 +52,7 @@ def guide(config: Config, task: str, begin: Begin = FROM_THE_START) -> Guide:
 
 def has_person(config: Config) -> bool:
     """Whether somebody sits before a window and can press a key."""
-    return config.calibration.wait_for_key and not config.stimulus.headless
+    return config.stimulus.person and not config.stimulus.headless
 
 
 def opening_note(opening: SessionStart, delay_ms: float) -> str:

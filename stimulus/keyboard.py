@@ -1,4 +1,4 @@
-"""What the keys do: space begins and goes on, P pauses, Escape pauses and, pressed again in that pause, ends.
+"""What the keys do: space begins and goes on, P pauses, Escape pauses and, pressed twice, ends.
 
 One stray key never ends a session: it costs a pause.
 """
@@ -8,7 +8,7 @@ from stimulus.paradigm import Paradigm
 from stimulus.view import Key
 
 AGAIN_S = 2.0
-"""Real seconds within which Escape must be pressed again where nothing has begun that could be paused (decided)."""
+"""Real seconds within which Escape must be pressed again to end the session (decided)."""
 PAUSED, STOPPED = "The experimenter pressed pause.", "Stopped at the stimulus's keyboard."
 
 
@@ -40,5 +40,4 @@ class Keyboard:
                 paradigm.pause(now, PAUSED, by_person=True)
 
     def _is_asked_again(self, now: float) -> bool:
-        soon = (now - self._escaped_at) / self._clock.speed <= AGAIN_S
-        return self._paradigm.is_paused_by_person or (soon and self._paradigm.waiting_for == "start")
+        return (now - self._escaped_at) / self._clock.speed <= AGAIN_S

@@ -67,8 +67,9 @@ class Paradigm:
         begin: Begin = FROM_THE_START,
         guide: Guide | None = None,
     ) -> Self:
-        """A calibration run; a key ends the breaks where there is a window to press it in."""
-        plan = calibration_plan(cfg.calibration, world, session, participant, seed, has_person(cfg), begin)
+        """A calibration run; a key ends the breaks where there is somebody to press it."""
+        wait_for_key = has_person(cfg) and cfg.calibration.wait_for_key
+        plan = calibration_plan(cfg.calibration, world, session, participant, seed, wait_for_key, begin)
         return cls(cfg.stimulus, world, plan, guide)
 
     @classmethod

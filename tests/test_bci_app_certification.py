@@ -211,8 +211,17 @@ def test_a_set_up_file_is_applied_on_its_own_set_up_only(tmp_path: Path) -> None
     assert set_up.applied(set_up.applied(config)).stimulus.photon_delay_ms == 21.5
     with pytest.raises(SetupError, match="measured with display = 1, and now it is 0"):
         set_up.applied(changed(config, {"stimulus": {"display": 0}}))
-    with pytest.raises(SetupError, match="the EEG stream 'LiveAmp', not 'Other'"):
+    other = "the EEG stream 'LiveAmp', not with 'Other'"
+    with pytest.raises(SetupError, match=other):
         set_up.applied(changed(config, {"eeg": {"stream_name": "Other"}}))
+    # Where no stream is named it is known once it is found.
+    set_up.check_stream(config, "LiveAmp")
+    set_up.check_stream(Config(), "Other")
+    with pytest.raises(SetupError, match=other):
+        set_up.check_stream(config, "Other")
+    set_up.write(set_up.describe(config, None, "PHOTO", 1, 1.0, 0.0), tmp_path / "simulated.json")
+    with pytest.raises(SetupError, match="a simulated amplifier, not with 'Other'"):
+        set_up.check_stream(changed(config, {"stimulus": {"set_up": str(tmp_path / "simulated.json")}}), "Other")
     with pytest.raises(SetupError, match="Leave out one of them"):
         set_up.applied(changed(config, {"stimulus": {"photon_delay_ms": 5}}))
     with pytest.raises(SetupError, match="Can't write the set-up file"):

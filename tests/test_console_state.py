@@ -163,7 +163,38 @@ def test_a_calibration_counts_moves_that_are_valid_and_tells_how_long_it_takes()
     assert shown["progress"]["to_go_s"] == 0.0
 
 
-def test_online_the_time_to_go_leaves_out_pauses() -> None:
+def test_instructions_before_the_first_block_tell_nothing_of_how_long_moves_take() -> None:
+    state = fresh()
+    tell(state, 0.0, opening("calibration"))
+    tell(state, 300.0, BlockStart(session="s", block=0, n_moves=4), start(0))
+    tell(state, 302.0, Pause(session="s", reason="why", by_person=True))
+    tell(state, 402.0, Resume(session="s"))
+    shown = tell(state, 403.0, move(0, 1), verdict(0, 1, "unjudged"))
+    assert shown["progress"]["to_go_s"] == 7 * 3.0
+
+
+def test_the_last_block_of_a_calibration_that_goes_on_is_as_long_as_is_left_of_it() -> None:
+    state = fresh()
+    tell(state, 0.0, opening("calibration"), BlockStart(session="s", block=1, n_moves=1), start(0))
+    tell(state, 3.0, move(0, 1), verdict(0, 1, "unjudged"), BlockEnd(session="s", block=1, n_moves=1))
+    tell(state, 3.0, BlockStart(session="s", block=2, n_moves=4))
+    tell(state, 6.0, move(0, 2), verdict(0, 2, "unjudged"))
+    shown = tell(state, 6.0, Command(session="s", command="finish", by_person=True))
+    assert shown["progress"]["to_go_s"] == 3 * 3.0
+
+
+def test_online_a_pause_in_an_episode_is_left_out() -> None:
+    state = fresh()
+    tell(state, 0.0, opening(), start(0), goal(0))
+    tell(state, 3.0, Pause(session="s", reason="why", by_person=True))
+    tell(state, 603.0, Resume(session="s"))
+    shown = tell(state, 610.0, end(0, 1), start(1))
+    assert shown["progress"]["to_go_s"] == 30.0
+    tell(state, 611.0, Pause(session="s", reason="why", by_person=True))
+    assert tell(state, 900.0)["progress"]["to_go_s"] == 29.0
+
+
+def test_online_the_time_to_go_by_the_mean_of_the_episodes() -> None:
     state = fresh()
     tell(state, 0.0, opening(), start(0), goal(0))
     tell(state, 3.0, move(0, 1))

@@ -111,7 +111,8 @@ def test_practice_shows_right_and_wrong_moves_and_leaves_the_run_as_it_is() -> N
     ("change", "steps"),
     [
         ({"stimulus": {"headless": True}}, ()),
-        ({"calibration": {"wait_for_key": False}}, ()),
+        ({"stimulus": {"person": False}}, ()),
+        ({"calibration": {"wait_for_key": False}}, ("calibration", "practice", "practising", "practice_over")),
         ({"stimulus": {"instructions": False}}, ()),
         ({"calibration": {"practice_moves": 0}}, ("calibration",)),
         ({"stimulus": {"headless": True}, "calibration": {"practice_moves": 2}}, ("practising",)),
@@ -258,9 +259,22 @@ def test_a_stray_escape_costs_a_pause_and_a_second_one_ends() -> None:
     runner.until(lambda: len(runner.of(MoveOnset)) == 2)
     keys.pressed("stop", runner.now, commanded=False)
     keys.pressed("stop", runner.now + 9, commanded=False)
+    assert not runner.paradigm.done
+    keys.pressed("stop", runner.now + 10, commanded=False)
     runner.take()
     assert runner.paradigm.done
     assert runner.of(SessionEnd)[0].message.reason == "interrupted"
+
+
+def test_one_escape_in_an_experimenters_pause_ends_nothing() -> None:
+    runner = Runner(Paradigm.calibration(PERSON, OPEN, "s", "P001", 7))
+    runner.until(lambda: len(runner.of(MoveOnset)) == 1)
+    runner.paradigm.pause(runner.now, "asked for at the console", by_person=True)
+    while runner.step():
+        pass
+    keyboard(runner.paradigm).pressed("stop", runner.now, commanded=True)
+    assert runner.paradigm.is_paused_by_person
+    assert not runner.paradigm.done
 
 
 def test_escape_before_the_start_must_be_pressed_twice_soon() -> None:

@@ -4,7 +4,17 @@ from dataclasses import dataclass
 from typing import Any
 
 from bci_app.console.scores import Ledger
-from bci_app.protocol import AnyMessage, BlockEnd, BlockStart, Pause, Resume, SessionEnd, SessionStart
+from bci_app.protocol import (
+    AnyMessage,
+    BlockEnd,
+    BlockStart,
+    EpisodeEnd,
+    EpisodeStart,
+    Pause,
+    Resume,
+    SessionEnd,
+    SessionStart,
+)
 
 
 @dataclass
@@ -22,6 +32,15 @@ class Course:
     paused_since: float | None = None
     paused_s: float = 0.0
     """In all pauses that are over."""
+    moving_since: float | None = None
+    """Of a calibration, how long it had lasted without pauses when its first block began: before come instructions."""
+    n_before_block: int = 0
+    """Moves that counted when the block began."""
+    episode_since: float | None = None
+    """How long the run had lasted without pauses when the episode under way began."""
+    episodes_s: float = 0.0
+    n_episodes_heard: int = 0
+    """Episodes heard from their start to their end, and how long they took without pauses."""
     is_last: bool = False
     """The run ends after the block or episode under way."""
 
@@ -34,7 +53,13 @@ class Course:
                 self.end, self.ended = message, stamp
                 self._go_on(stamp)
             case BlockStart():
-                self.block = message
+                self.block, self.n_before_block = message, self._n_valid()
+                self.moving_since = self._without_pauses(stamp) if self.moving_since is None else self.moving_since
+            case EpisodeStart():
+                self.episode_since = self._without_pauses(stamp)
+            case EpisodeEnd() if self.episode_since is not None:
+                self.episodes_s += self._without_pauses(stamp) - self.episode_since
+                self.n_episodes_heard, self.episode_since = self.n_episodes_heard + 1, None
             case BlockEnd():
                 self.n_blocks_done = max(self.n_blocks_done, message.block + 1)
             case Pause():
@@ -47,6 +72,14 @@ class Course:
         if self.paused_since is not None:
             self.paused_s += stamp - self.paused_since
         self.pause = self.paused_since = None
+
+    def _without_pauses(self, now: float) -> float:
+        """Session seconds since the run began, less those of pauses."""
+        paused = self.paused_s + (now - self.paused_since if self.paused_since is not None else 0.0)
+        return now - self.began - paused
+
+    def _n_valid(self) -> int:
+        return sum(self.ledger.steps().values()) - self.ledger.n_rejected
 
     @property
     def phase(self) -> str:
@@ -87,26 +120,23 @@ class Course:
         start = self.start
         if start is None or self.end is not None:
             return None
-        paused = self.paused_s + (now - self.paused_since if self.paused_since is not None else 0.0)
-        spent = now - self.began - paused
         if start.n_moves is not None:
             left = self._moves_left(start.n_moves)
             moves = sum(self.ledger.steps().values())
+            spent = self._without_pauses(now) - (self.moving_since or 0.0)
             return round(left * spent / moves, 1) if moves else None
-        finished = [episode for episode in self.ledger.episodes.values() if episode.ended is not None]
-        if not finished or start.n_episodes is None:
+        if not self.n_episodes_heard or start.n_episodes is None:
             return None
-        mean = sum((episode.ended or 0.0) - episode.began for episode in finished) / len(finished)
-        current = self.ledger.current
-        is_under_way = current is not None and current.end is None
-        under_way = now - current.began if current is not None and is_under_way else 0.0
-        left = is_under_way if self.is_last else start.n_episodes - len(finished)
-        return round(max(0.0, left * mean - under_way), 1)
+        n_over = sum(episode.ended is not None for episode in self.ledger.episodes.values())
+        is_under_way = self.episode_since is not None
+        under_way = self._without_pauses(now) - self.episode_since if self.episode_since is not None else 0.0
+        left = is_under_way if self.is_last else start.n_episodes - n_over
+        return round(max(0.0, left * self.episodes_s / self.n_episodes_heard - under_way), 1)
 
     def _moves_left(self, n_moves: int) -> int:
-        moves = sum(self.ledger.steps().values()) - self.ledger.n_rejected
+        moves = self._n_valid()
         if not self.is_last or self.block is None:
             return max(0, n_moves - moves)
         if self.n_blocks_done > self.block.block:
             return 0
-        return max(0, -(-moves // self.block.n_moves) * self.block.n_moves - moves)
+        return max(0, self.n_before_block + self.block.n_moves - moves)

@@ -31,7 +31,7 @@ _NO_EEG = EegDescription("none", "", "", (), (), (), 1.0)
 
 def for_run(config: Config, seed: int) -> Config:
     """The configuration of a simulated run, as a live session makes it: nobody turns pages, another hour each run."""
-    values = {"stimulus": {"headless": True}, "calibration": {"wait_for_key": False}, "simulation": {"run": seed}}
+    values = {"stimulus": {"headless": True, "person": False}, "simulation": {"run": seed}}
     return changed(config, values)
 
 

@@ -160,7 +160,13 @@ function drawElectrodes() {
 // What is asked for.
 
 async function ask(body) {
-  const answer = await fetch("ask", { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body) });
+  let answer;
+  try {
+    answer = await fetch("ask", { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body) });
+  } catch {
+    set("message", "Not sent: the console doesn't answer. P at the stimulus pauses.");
+    return false;
+  }
   if (!answer.ok) set("message", (await answer.json().catch(() => ({ error: "It was refused." }))).error);
   return answer.ok;
 }
