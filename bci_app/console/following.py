@@ -47,15 +47,18 @@ class Following:
     Parameters
     ----------
     config, parent : as of the console's `Listener`.
-    session, clock : its id and its clock.
+    session, clock : its id and its clock, as this computer's own messages are stamped.
+    theirs : its clock as the messages are stamped that are heard: of the computer that leads it.
     lock : held while the state is changed.
     """
 
-    def __init__(self, config: Config, session: str, clock: Clock, lock: Lock, parent: int | None) -> None:
+    def __init__(
+        self, config: Config, session: str, clock: Clock, theirs: Clock, lock: Lock, parent: int | None
+    ) -> None:
         self.session = session
         self.state = State(session, config, clock.speed)
         self.peer = Peer(CONSOLE, "console", session, clock, parent)
-        self._config, self._clock, self._lock = config, clock, lock
+        self._config, self._clock, self._lock = config, theirs, lock
         self._inlets: dict[str, MessageInlet] = {}
         self._eeg: EegInlet | None = None
         self._wants_eeg = True

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from bci_app.clock import Clock
 from bci_app.config import Config
 from bci_app.console.following import Following
 from bci_app.console.state import warm_up
@@ -44,6 +45,7 @@ class Listener:
         self._lock = threading.Lock()
         self._following: Following | None = None
         self._headers: dict[str, Header] = {}
+        self._apart: dict[str, float] = {}  # seconds by which this computer's clock is ahead of the session's
         self._candidates: list[set[str]] = []  # of the last looks
         self._followed: set[str] = set()
         self._waits_for = f"session {session}" if session else "a session to begin"
@@ -117,8 +119,9 @@ class Listener:
         header = self._header(session, found)
         if header is None:
             return self._following
-        clock = session_clock(header.speed, header.origin)
-        following = Following(self._config, session, clock, self._lock, self._parent)
+        clock, apart = session_clock(header.speed, header.origin), self._apart[session]
+        theirs = Clock(lambda: local_clock() - apart, header.speed, header.origin)
+        following = Following(self._config, session, clock, theirs, self._lock, self._parent)
         self._followed.add(session)
         with self._lock:
             self._following = following
@@ -145,7 +148,8 @@ class Listener:
         info = found.get(spec.source_id(session))
         if info is not None and session not in self._headers:
             try:
-                self._headers[session] = MessageInlet(info, spec, session).header()
+                inlet = MessageInlet(info, spec, session)
+                self._apart[session], self._headers[session] = inlet.clock_correction(), inlet.header()
             except LinkLost as error:
                 log.info("%s", error)
         return self._headers.get(session)
