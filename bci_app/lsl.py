@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 from uuid import uuid4
 
 import numpy as np
@@ -39,9 +39,12 @@ EegInfo: TypeAlias = pylsl.StreamInfo
 """A stream as it was found on the network."""
 
 
-Identity: TypeAlias = tuple[float, str]
-"""What tells two streams of one source id apart, the older first: when it was opened, on its computer's clock, and its
-LSL uid."""
+class Identity(NamedTuple):
+    """What tells two streams of one source id apart, the older first."""
+
+    opened: float
+    """On its computer's clock, s; on the network it is told to some digits only."""
+    uid: str
 
 
 class NoStream(SetupError):
@@ -114,7 +117,7 @@ class EegOutlet:
 
 
 def _identity(info: pylsl.StreamInfo) -> Identity:
-    return float(info.created_at()), str(info.uid())
+    return Identity(float(info.created_at()), str(info.uid()))
 
 
 def _describe_ours(info: pylsl.StreamInfo, session: str) -> None:

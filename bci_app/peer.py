@@ -105,7 +105,9 @@ class Peer:
         """Pull messages; samples that are none of this session's are refused in a note, never mixed in."""
         received = inlet.pull(timeout)
         if received:
-            self._hears[inlet.name] = max(item.stamp for item in received)
+            # What is said once more has the stamp it had.
+            newest = max(item.stamp for item in received)
+            self._hears[inlet.name] = max(newest, self._hears.get(inlet.name, newest))
         for sentence in inlet.refused:
             self.note("error", f"Refused a sample on {sentence}")
         inlet.refused.clear()

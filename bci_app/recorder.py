@@ -15,7 +15,8 @@ START_TIMEOUT_S = 30.0
 
 STOP_TIMEOUT_S = 30.0
 """Real seconds LabRecorder may take to close the file; it needs about five."""
-INTERRUPTS = {signal.SIGINT, signal.SIGTERM}
+INTERRUPTS = {getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)}
+"""What ends bci-app, which then ends the recorder: a terminal that is closed sends it to both."""
 
 OPENED, UNMATCHED = "Started data collection", "matched no stream!"
 """What LabRecorder prints for each stream it records, and for a query that finds none."""

@@ -11,7 +11,18 @@ from numpy.typing import NDArray
 
 from bci_app.eeg import EegDescription
 from bci_app.errors import SetupError
-from bci_app.protocol import MARKERS, STREAMS, BadMessage, Message, Recall, SessionEnd, SessionStart, Verdict, decode
+from bci_app.protocol import (
+    MARKERS,
+    STREAMS,
+    BadMessage,
+    Continued,
+    Message,
+    Recall,
+    SessionEnd,
+    SessionStart,
+    Verdict,
+    decode,
+)
 from bci_app.runs import check_untouched, eeg_type, known_of, read_sidecar
 from bci_app.said import without_void
 from bci_app.xdf import MAGIC, salvage
@@ -193,7 +204,9 @@ def _messages(streams: list[dict[str, Any]]) -> tuple[Stamped, ...]:
             except BadMessage as error:
                 log.warning("A sample of stream %s at %.3f is no message: %s", stream["info"]["name"][0], stamp, error)
     found += _retold(found)
-    return tuple(without_void(sorted(found, key=lambda item: item.stamp), lambda item: item.message))
+    # What is void was said before; what a stimulus says as it goes on, on another stream, can have the same stamp.
+    found.sort(key=lambda item: (item.stamp, not isinstance(item.message, Continued)))
+    return tuple(without_void(found, lambda item: item.message))
 
 
 def _retold(found: list[Stamped]) -> list[Stamped]:

@@ -1,15 +1,18 @@
 """Where a run that was broken off stopped, for a new run of the same session to go on there."""
 
-from collections.abc import Iterator
+import logging
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from bci_app.config import Config
 from bci_app.errors import SetupError
-from bci_app.protocol import BlockEnd, BlockStart, EpisodeEnd, MoveOnset, SessionEnd, Verdict
+from bci_app.protocol import BlockEnd, BlockStart, EpisodeEnd, MoveOnset, SessionEnd, SessionStart, Verdict
 from bci_app.recording import Recording, read
-from bci_app.runs import Run, eeg_type, last_run, read_sidecar
+from bci_app.runs import Run, eeg_type, read_sidecar, recorded_runs
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -36,14 +39,13 @@ def find(config: Config, participant: str, visit: str, task: str) -> Stopped:
 
     Raises SetupError where there is none, it is complete, or its settings were others.
     """
-    run = last_run(Path(config.recordings), participant, visit, task)
-    if run is None:
+    begun = next(_begun(recorded_runs(Path(config.recordings), participant, visit, task)), None)
+    if begun is None:
         raise SetupError(
             f"There is no {task} run of participant {participant}, visit {visit}, below {config.recordings} to go on "
             "with. Leave out --resume."
         )
-    sidecar = read_sidecar(run.xdf)
-    recording = read(run.xdf, allow_damage=True, eeg_type=eeg_type(sidecar))
+    run, sidecar, recording = begun
     if any(end.reason == "complete" for _, end in recording.of(SessionEnd)):
         raise SetupError(f"{run.xdf} is complete: there is nothing to go on with. Leave out --resume.")
     _check_same(sidecar, config, task, run)
@@ -51,11 +53,27 @@ def find(config: Config, participant: str, visit: str, task: str) -> Stopped:
     begun_at = sidecar.get("begins_at", {})
     if task == "online":
         return Stopped(recordings, sidecar, episode=first_unfinished(recording, int(begun_at.get("episode", 0))))
-    begun = int(begun_at.get("block", 0)), int(begun_at.get("moves_done", 0))
-    block, moves_done = in_block(recording, begun, config.calibration.moves_per_block)
+    done = int(begun_at.get("block", 0)), int(begun_at.get("moves_done", 0))
+    block, moves_done = in_block(recording, done, config.calibration.moves_per_block)
     if block >= config.calibration.n_blocks:
         raise SetupError(f"{run.xdf} holds all {config.calibration.n_blocks} blocks: fit it as it is.")
     return Stopped(recordings, sidecar, block=block, moves_done=moves_done)
+
+
+def _begun(runs: Iterable[Run]) -> Iterator[tuple[Run, dict[str, Any], Recording]]:
+    """Runs that got as far as their first message, with their sidecars and recordings.
+
+    One that was broken off before may not even have EEG in its file.
+    """
+    for run in runs:
+        sidecar = read_sidecar(run.xdf)
+        try:
+            recording = read(run.xdf, allow_damage=True, eeg_type=eeg_type(sidecar))
+        except SetupError as error:
+            log.warning("Not gone on with: %s", error)
+            continue
+        if recording.of(SessionStart):
+            yield run, sidecar, recording
 
 
 def _check_same(sidecar: dict[str, Any], config: Config, task: str, run: Run) -> None:

@@ -97,8 +97,8 @@ def new_run(folder: Path, participant: str, visit: str, task: str) -> Run:
     return run
 
 
-def last_run(folder: Path, participant: str, visit: str, task: str) -> Run | None:
-    """The recorded run with the highest number that has a sidecar, if any. Raises SetupError for a bad label."""
+def recorded_runs(folder: Path, participant: str, visit: str, task: str) -> list[Run]:
+    """The recorded runs that have a sidecar, the last first. Raises SetupError for a bad label."""
     check_label(participant, "--participant")
     check_label(visit, "--visit")
     stem = Run(folder, participant, visit, task, 1).stem
@@ -106,7 +106,7 @@ def last_run(folder: Path, participant: str, visit: str, task: str) -> Run | Non
     # One that was broken off before anything was recorded is nothing to go on with.
     kept = [path for path in found if path.with_suffix(".xdf").exists()]
     numbers = [int(path.stem.removesuffix("_eeg").rsplit("-", 1)[-1]) for path in kept]
-    return Run(folder, participant, visit, task, max(numbers)) if numbers else None
+    return [Run(folder, participant, visit, task, number) for number in sorted(numbers, reverse=True)]
 
 
 def make_folder(path: Path, recordings: Path) -> bool:

@@ -37,11 +37,14 @@ def verify(path: Path, heard: Heard, eeg_type: str, has_truth: bool) -> Finding:
         missing = heard.missing_in(recording, has_truth)
     except SetupError as error:
         recording, missing = None, [str(error)]
+    sha256 = ""
     try:
         write_sums(path)
+        sha256 = checksum(path)
     except SetupError as error:
         missing.append(str(error))
-    sha256 = checksum(path)
+    except OSError as error:
+        missing.append(f"{path} can't be read: {error.strerror}.")
     if recording is None or missing:
         return Finding(f"The recording isn't what was heard: {' '.join(missing)}", missing, sha256, recording)
     counts = f"{heard.moves} moves, {heard.verdicts.total()} verdicts, {len(recording.times)} EEG samples"

@@ -167,12 +167,11 @@ class _Server:
 
     def recall(self, recall: Recall) -> None:
         """Go on where a decoder before this one ended: its electrodes, and the moves it left unjudged."""
+        self._is_in_trouble = True  # the session waits until this process is back
         moves: dict[MoveKey, Verdict | None] = {}
         episode = -1
         for item in recall.said:
             match item.message:
-                case SessionStart():
-                    self._recorded_since = item.stamp - RECORDED_S
                 case EpisodeStart() as start:
                     episode = start.episode
                 case Electrodes() as electrodes:

@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from test_bci_app_said import end, move, opening, start, verdict
+from xdf_files import write_xdf
 
 from bci_app.config import Config
 from bci_app.eeg import EegDescription
 from bci_app.errors import SetupError
 from bci_app.joining import BETWEEN_S, joined
-from bci_app.protocol import BlockEnd, BlockStart, Electrodes, Message, MoveOnset, Verdict
+from bci_app.protocol import BlockEnd, BlockStart, Electrodes, Message, MoveOnset, SessionStart, Verdict
 from bci_app.recording import Recording, Stamped
 from bci_app.resuming import find, first_unfinished, in_block
 from bci_app.runs import new_run, write_sidecar
@@ -79,6 +80,22 @@ def test_what_cannot_be_gone_on_with_is_said(tmp_path: Path) -> None:
     write_sidecar(run.sidecar, {"state": "starting", "config": config.model_dump(mode="json")})
     with pytest.raises(SetupError, match="no calibration run of participant P1"):  # it ended before it was recorded
         find(config, "P1", "S001", "calibration")
+
+
+def test_a_false_start_is_not_gone_on_with(tmp_path: Path) -> None:
+    """The run before it is: of the false one nothing but the headers is in the file."""
+    config = Config(recordings=str(tmp_path))
+    begun = SessionStart(session="s", task="online", participant="P1", map="open", layout=["..."], n_episodes=2)
+    channels, sidecar = [("Fz", "EEG", "microvolts")], {"config": config.model_dump(mode="json")}
+    for number, n_samples in ((1, 500), (2, 0)):
+        run = new_run(tmp_path, "P1", "S001", "online")
+        samples, times = np.zeros((n_samples, 1), np.float32), np.arange(n_samples) / 100
+        said = {"bci-stimulus": [(1.0, begun)] if n_samples else []}
+        write_xdf(run.xdf, samples, times, channels, 100.0, said)
+        write_sidecar(run.sidecar, sidecar)
+        assert run.number == number
+    found = find(config, "P1", "S001", "online")
+    assert [path.name for path in found.recordings] == ["sub-P1_ses-S001_task-online_run-001_eeg.xdf"]
 
 
 def test_runs_are_joined_in_time_and_number() -> None:

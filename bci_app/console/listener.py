@@ -108,7 +108,9 @@ class Listener:
                 following = self._follow(session, found)
         if following is not None:
             # Two that were started at the same moment don't see each other before both are there: the older stays.
-            if any(other < following.peer.identity for other in self._watch.identities(following.source_id)):
+            mine = following.peer.identity
+            others = self._watch.identities(following.source_id)
+            if any(other < mine for other in others if other.uid != mine.uid):
                 raise _second(following.session)
             following.open(found)
             following.look_at_electrodes()
