@@ -19,6 +19,7 @@ from bci_app.recording import Recording, read
 from bci_app.rehearsing import likeness_of
 from bci_app.runs import read_sidecar
 from bci_app.study import alone, plan, running
+from bci_app.study.conditions import coin
 from bci_app.study.conduct import names_of
 from bci_app.study.parts import Kept
 from decoder import rehearsal_file
@@ -189,6 +190,34 @@ def test_a_part_that_fails_is_told_and_costs_nobody_else(tmp_path: Path) -> None
     told = running.run(study, "one-process", None, "local", None, lambda what, done, of: None)
     assert told["report"] is None
     assert "stopped in calibration: A decoder needs at least 50" in told["unfinished"][0]["why"]
+
+
+def test_after_a_calibration_that_cant_be_fitted_there_can_be_another(tmp_path: Path) -> None:
+    few = {**SMALL, "classifier": {"n_folds": 2, "min_per_class": 50}}
+    study = small_study(tmp_path, config=few, conditions=["none"])
+    running.run(study, "one-process", None, "local", None, lambda what, done, of: None)
+    kept = Kept.of(study, study.participants[0], "one-process")
+    assert kept.stopped["part"] == "calibration"
+    assert kept.recorded == {}
+
+
+def test_a_map_without_a_policy_is_refused_before_anybody_comes(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("....\n.##.\n....\n", encoding="utf-8")
+    study = small_study(tmp_path / "study", maps=["open", str(tmp_path / "mine.txt")])
+    with pytest.raises(SetupError, match="No policy of the kind 'none' for map 'mine'"):
+        running.run(study, "one-process", None, "local", None, lambda what, done, of: None)
+    assert not (tmp_path / "study").exists()
+
+
+def test_the_coins_tosses_are_as_large_on_new_moves_as_what_the_decoder_says(
+    calibration: Recording, decoder: DecoderModel
+) -> None:
+    epochs, result, fitted = fitting.decoder_of(calibration, "P1", CONFIG)
+    tosses = coin(fitted, result, epochs.features, epochs.error, CONFIG.classifier, 1)
+    another = alone.calibrate(CONFIG, "P1", 9, model=tosses)
+    ours = alone.calibrate(CONFIG, "P1", 9, model=decoder)
+    large, wanted = (np.std([verdict.log_odds for verdict in each.verdicts.values()]) for each in (another, ours))
+    assert 0.6 < large / wanted < 1.7
 
 
 def test_the_loop_over_lsl_and_that_in_one_process_do_the_same(decoder: DecoderModel, tmp_path: Path, cli: Cli) -> None:

@@ -48,6 +48,7 @@ def test_the_papers_cohort_is_the_seven_who_went_online_and_the_seven_who_were_s
         ({"conditions": ["ours", "none"]}, "conditions must begin with none"),
         ({"conditions": ["none", "none"]}, "none is there twice"),
         ({"conditions": ["nothing"]}, "conditions.0"),
+        ({"maps": ["open", "mine/open.txt"]}, "open is there twice"),
         ({"config": {"simulation": {"sfrq": 100}}}, "unknown key 'simulation.sfrq'"),
     ],
 )

@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bci_app.study import tables
-from bci_app.study.comparing import paired_tests, ratio
+from bci_app.study.comparing import paired_tests, ratio, share
 from bci_app.study.power import curve, needed
 
 DISTANCES = range(2, 21)
+PLACE = {"start_row": 0, "start_column": 0, "goal_column": 0}
 SCORES = {
     name: {"value": 0.7, "low": 0.65, "high": 0.75}
     for name in ("accuracy", "balanced_accuracy", "auc", "hit_rate", "correct_rejection_rate")
@@ -34,7 +35,15 @@ def person(name: str, factor: float = 0.7, published: str | None = None, **missi
 
 def online(times: float, listens: bool) -> dict[str, Any]:
     rows = [
-        {"episode": n, "distance": d, "steps": round(times * d), "reason": "goal", "success": True}
+        {
+            "episode": n,
+            "distance": d,
+            **PLACE,
+            "goal_row": d,
+            "steps": round(times * d),
+            "reason": "goal",
+            "success": True,
+        }
         for n, d in enumerate(DISTANCES)
     ]
     rows[-1] |= {"steps": 60, "reason": "limit", "success": False}
@@ -82,6 +91,44 @@ def test_steps_against_no_errp_are_paired_over_participants() -> None:
     assert none is not None
     assert none["steps_vs_none"] == 0
     assert tables.compared(people, "paper", "none", ["open"]) is None
+
+
+def test_the_same_episodes_of_many_people_tell_no_more_of_success_than_those_of_one() -> None:
+    one, many = (tables.compared([person(f"S{n}") for n in range(size)], "ours", "none", ["open"]) for size in (1, 9))
+    assert one is not None
+    assert many is not None
+    for end in ("", "_low", "_high"):
+        assert many[f"success{end}"] == pytest.approx(one[f"success{end}"])
+    assert many["success_low"] < 0.8 < many["success"]
+
+
+def test_two_episodes_of_one_distance_are_paired_each_with_its_own() -> None:
+    somebody = person("S1")
+    for condition, steps in {"none": (10, 30), "ours": (30, 10)}.items():
+        rows = somebody["parts"][f"{condition} open"]["episodes"][:2]
+        for number, row in enumerate(rows):
+            row |= {"distance": 5, "goal_row": number, "steps": steps[number]}
+        somebody["parts"][f"{condition} open"]["episodes"] = rows
+    found = tables.compared([somebody], "ours", "none", ["open"])
+    assert found is not None
+    assert found["n_pairs"] == 2
+    assert found["steps_vs_none"] == 0.0
+    assert found["p"] == pytest.approx(1.0)
+
+
+def test_a_share_has_an_interval_over_people_not_over_moves() -> None:
+    value, low, high = share([60, 90], [100, 100])
+    assert value == 0.75
+    assert (low, high) == (0.0, 1.0)  # two people, 60 and 90 %
+    assert share([6], [10]) == (0.6, None, None)
+    value, low, high = share([60, 60, 60], [100, 100, 100])
+    assert (value, low, high) == (0.6, 0.6, 0.6)
+
+
+def test_enough_participants_are_enough_for_good() -> None:
+    points = [{"participants": n, "power": power} for n, power in ((2, 0.5), (3, 0.81), (4, 0.79), (5, 0.8), (6, 0.9))]
+    assert needed(points) == 5
+    assert needed(points[:3]) is None
 
 
 def test_one_participant_is_paired_over_episodes() -> None:

@@ -10,7 +10,7 @@ from bci_app.config import ClassifierConfig, Config, PolicyConfig, changed
 from bci_app.gridworld import GridWorld
 from bci_app.study.plan import Condition
 from decoder import model
-from decoder.calibration import Calibration
+from decoder.calibration import Calibration, contiguous_folds, held_out_log_odds
 from decoder.classifier import LinearClassifier, fit
 from policy import cards
 
@@ -81,10 +81,10 @@ def coin(
     Its log odds are as large as those of the true one and called errors as often, and whoever is told of it is told
     what the true one is worth: all that is missing is that they have to do with the moves.
     """
-    rng = np.random.default_rng(seed)
-    n_windows = fitted.info.chain.n_windows
-    shuffled = fit(features, rng.permutation(error), config, n_windows)
-    tossed = np.array([shuffled.log_odds(row) for row in features])
+    n_windows, tosses = fitted.info.chain.n_windows, np.random.default_rng(seed).permutation(error)
+    shuffled = fit(features, tosses, config, n_windows)
+    # As large on moves that neither of the two has seen.
+    tossed = held_out_log_odds(features, tosses, config, contiguous_folds(tosses, config), n_windows)
     said = calibration.blocked_log_odds
     scale = float(said.std() / tossed.std())
     bias = float(said.mean() - scale * (tossed.mean() - shuffled.bias))

@@ -90,7 +90,11 @@ class _Conducted:
             self.kept.save()
         path = self.kept.recorded.get(part) or self.kept.parts.get(part, {}).get("recording", "")
         if missing:
-            self._fit(config, seed, path, missing)
+            try:
+                self._fit(config, seed, path, missing)
+            except SetupError:
+                self.kept.recorded.pop(part, None)  # no decoder can be had of it: the next time another is made
+                raise
         papers_info = model.load(self._decoder(PAPER)).info if PAPER in others else None
         self.kept.done(part, of_calibration(model.load(target).info, papers_info, target, path))
 

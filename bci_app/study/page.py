@@ -161,10 +161,11 @@ def _headlines(rows: Sequence[Row]) -> list[Grid]:
 
 
 _NOTE = (
-    "Success within the limit of steps, with Wilson's interval over episodes; mean steps over participants with "
-    "Student's, failed episodes with their steps. Against no ErrP: ratio of the means over participants, each paired "
-    "with themselves; paired t test, and Wilcoxon's signed-rank test. All intervals are of 95 %. Without verdicts the "
-    "agent moves the same with everybody, for the episodes are the same: intervals are over people, for these episodes."
+    "Success within the limit of steps, with Wilson's interval over the different episodes; mean steps over "
+    "participants with Student's, failed episodes with their steps. Against no ErrP: ratio of the means over "
+    "participants, each paired with themselves; paired t test, and Wilcoxon's signed-rank test. All intervals are of "
+    "95 %. Without verdicts the agent moves the same with everybody, for the episodes are the same: intervals are over "
+    "people, for these episodes."
 )
 
 
@@ -203,7 +204,7 @@ def _where(rows: Sequence[Row]) -> Grid:
             said[row["of"]],
             "5 or more" if row["level"] == "5" else row["level"],
             str(row["n"]),
-            f"{percent(row['right'])} [{100 * row['low']:.1f}, {100 * row['high']:.1f}]",
+            words.with_bounds({"right": row["right"], "right_low": row["low"], "right_high": row["high"]}, "right"),
         )
         for row in rows
     ]

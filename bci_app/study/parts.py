@@ -129,7 +129,8 @@ def of_online(recording: Recording, path: str) -> dict[str, Any]:
         scores = judged_online(log_odds, evidence, np.array([move["error"] for move in heard], dtype=bool))
     if scores is not None:
         scores.pop("reliability")
-    kept = ("episode", "distance", "steps", "reason", "success")
+    places = ("start_row", "start_column", "goal_row", "goal_column")
+    kept = ("episode", "distance", *places, "steps", "reason", "success")
     return {
         "episodes": [{name: row[name] for name in kept} for row in episode_rows(recording)],
         "n_moves": len(moves),

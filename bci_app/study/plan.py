@@ -31,6 +31,8 @@ SIMULATED_ONLY: tuple[Condition, ...] = ("mute",)
 SHIPPED = ("wang2022", "lab")
 PAPERS_GATE = 0.70
 """Cross-validated accuracy below which the paper sends participants home (V.A.5)."""
+FORMAT = 2
+"""Of what is kept of participants. What another format keeps isn't taken for this one's."""
 Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9]+$")]
 
 
@@ -117,6 +119,9 @@ class Study(Section):
         doubled = [name for name, n in Counter(each.name.lower() for each in self.participants).items() if n > 1]
         if doubled:
             raise ValueError(f"participant {', '.join(doubled)} is there twice")
+        stems = Counter(Path(name).stem for name in self.maps)
+        if max(stems.values()) > 1:
+            raise ValueError(f"maps need names of their own: {stems.most_common(1)[0][0]} is there twice")
         if self.conditions[0] != "none" and len(self.conditions) > 1:
             raise ValueError("conditions must begin with none, which the others are compared with")
         if any(each.is_real for each in self.participants) and set(self.conditions) & set(SIMULATED_ONLY):
@@ -135,7 +140,7 @@ class Study(Section):
 
     def digest(self, who: Participant) -> str:
         """Of all that a participant's parts depend on: what is kept of another study isn't taken for this one's."""
-        common = self.model_dump_json(include={"seed", "papers_gate", "config"})
+        common = f"{FORMAT} {self.model_dump_json(include={'seed', 'papers_gate', 'config'})}"
         return sha256((common + who.model_dump_json(exclude={"published"})).encode()).hexdigest()[:16]
 
     def schedule(self, who: Participant) -> tuple[tuple[Condition, str], ...]:

@@ -46,8 +46,6 @@ MOST = 60
 """Participants beyond which no study is simulated."""
 TIMES = 100
 """Times that each participant plays all episodes: what studies draw from (decided: 14 participants give 1,400)."""
-LIMIT = 60
-"""Steps an episode may take."""
 CONDITIONS: tuple[Condition, ...] = ("paper", "ours")
 
 
@@ -103,9 +101,10 @@ def run(study: Study, n_studies: int, progress: Progress) -> dict[str, Any]:
 
 
 def needed(points: Sequence[dict[str, float]]) -> int | None:
-    """The fewest participants from which on the power is as wanted."""
-    enough = [int(point["participants"]) for point in points if point["power"] >= WANTED_POWER]
-    return min(enough) if enough else None
+    """The fewest participants from which on the power is as wanted, and never below again."""
+    below = [place for place, point in enumerate(points) if point["power"] < WANTED_POWER]
+    enough = points[below[-1] + 1 :] if below else points
+    return int(enough[0]["participants"]) if enough else None
 
 
 def effect(differences: Array) -> dict[str, float]:
@@ -179,17 +178,18 @@ def _judging(study: Study, who: Participant, config: Config, fitted: DecoderMode
 
 
 def play_all(study: Study, config: Config, heard: Heard, condition: Condition, world: GridWorld, name: str) -> Array:
-    """Steps of each of a map's episodes, (`TIMES`, n_episodes), failed ones with `LIMIT`."""
+    """Steps of each of a map's episodes, (`TIMES`, n_episodes), failed ones with their limit."""
     choice = choose(condition, heard.info, config.policy, study.papers_gate, world)
     network, card = checkpoint.load(choice.policy)
     evidence: Evidence = heard.info.evidence
     ear = Ear(Verdicts.parse(card.verdicts), Told.parse(str(evidence.told)))
     draw = held_out(ear, evidence, heard)
-    episodes = online_episodes(world, config.online.distances, config.online.episodes_seed)
+    seeds = range(config.online.episodes_seed, config.online.episodes_seed + config.online.rounds)
+    episodes = [each for seed in seeds for each in online_episodes(world, config.online.distances, seed)]
     start = np.tile([each.start for each in episodes], TIMES)
     goal = np.tile([each.goal for each in episodes], TIMES)
     rng = np.random.default_rng([study.run_seed(name, f"power {condition} {world.name}")])
-    simulator = Simulator(world, start, goal, draw(len(start), rng), rng, LIMIT)
+    simulator = Simulator(world, start, goal, draw(len(start), rng), rng, config.online.max_steps)
     return play(NetworkPlayer(network, world), simulator).reshape(TIMES, -1).astype(float)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import joblib
 
 from bci_app.errors import SetupError
+from bci_app.gridworld import load_map
 from bci_app.progress import Progress
 from bci_app.report import Row
 from bci_app.study import page, tables
@@ -15,7 +16,7 @@ from bci_app.study.apart import apart
 from bci_app.study.conduct import go_through, names_of
 from bci_app.study.parts import Kept
 from bci_app.study.plan import Participant, Study, Through
-from policy import cluster
+from policy import cards, cluster
 
 MOST_SESSIONS = 3
 """Sessions side by side on one machine, unless more are asked for (one takes most of a core at speed 40)."""
@@ -61,6 +62,7 @@ def run(
     Returns what `summary` tells. Raises SetupError for what is kept of another study.
     """
     started = perf_counter()
+    check_maps(study)
     wanted = [study.participant(person)] if person else [each for each in study.participants if not each.is_real]
     before = {each.name: Kept.of(study, each, _through(each, through)) for each in study.participants}
     left = [each for each in wanted if set(names_of(study, each)) - set(before[each.name].parts)]
@@ -73,6 +75,20 @@ def run(
         _keep(study, through, made)
         progress(f"{made['head']['participant']} is through", number + 1, len(jobs))
     return summary(study, through) | {"seconds": perf_counter() - started}
+
+
+def check_maps(study: Study) -> None:
+    """That every condition can be played on every map is better known before somebody has been calibrated.
+
+    Raises SetupError for a map that can't be read and for one without a policy.
+    """
+    for name in study.maps:
+        world = load_map(name)
+        cards.choose_without(world)
+        if "paper" in study.conditions:
+            cards.choose_by_accuracy(study.papers_gate, world)
+        if set(study.conditions) - {"none", "paper"}:
+            cards.choose_told(world)
 
 
 def _through(who: Participant, through: Through) -> Through:
@@ -89,11 +105,15 @@ def _side_by_side(study: Study, through: Through) -> int:
 
 def _made(jobs: Sequence[Job], n: int, backend: str, scheduler: str | None) -> Iterator[dict[str, Any]]:
     if backend == "dask":
+        failures: list[SetupError] = []
         with cluster.connected(scheduler) as client:
             for _, made in cluster.results(client, attempt, jobs):
                 if isinstance(made, SetupError):
-                    raise made
-                yield made
+                    failures.append(made)  # of one participant; the others go on
+                else:
+                    yield made
+        if failures:
+            raise SetupError(" ".join(map(str, failures)))
         return
     if n == 1 or len(jobs) == 1:
         yield from map(attempt, jobs)
@@ -105,7 +125,7 @@ def _made(jobs: Sequence[Job], n: int, backend: str, scheduler: str | None) -> I
 def _keep(study: Study, through: Through, made: dict[str, Any]) -> None:
     """What another machine has made, which this one's folder may not have."""
     kept = Kept.of(study, study.participant(made["head"]["participant"]), through)
-    if set(made["parts"]) - set(kept.parts):
+    if set(made["parts"]) - set(kept.parts) or made["stopped"] != kept.stopped:
         kept.parts, kept.stopped = made["parts"], made["stopped"]
         kept.save()
 

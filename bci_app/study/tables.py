@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from bci_app.report import Row, Tables, calibrations, online, published
-from bci_app.study.comparing import mean, ratio, success
-from decoder.calibration import wilson
+from bci_app.study.comparing import mean, ratio, share, success
 
 Person = Mapping[str, Any]
 """What is kept of a participant: `participant`, `kind`, `published`, `parts`, `stopped`."""
@@ -67,7 +66,7 @@ def compared(people: Sequence[Person], condition: str, against: str, maps: Seque
     return {
         "participants": len(own),
         "n_episodes": len(rows),
-        **success(len(reached), len(rows)),
+        **success(len(reached) / len(rows), len({_which(row) for row in rows})),
         **interval,
         "mean_steps_of_successes": float(np.mean(reached)) if reached else None,
         "sd_steps_of_successes": float(np.std(reached, ddof=1)) if len(reached) > 1 else None,
@@ -84,10 +83,15 @@ def _mean_steps(rows: Sequence[Row]) -> float:
     return float(np.mean([row["steps"] for row in rows]))
 
 
+def _which(row: Row) -> tuple[Any, ...]:
+    """Which of the pre-generated episodes it is: map, start and goal."""
+    return tuple(row[name] for name in ("map", "start_row", "start_column", "goal_row", "goal_column"))
+
+
 def _paired(rows: Sequence[Row], others: Sequence[Row]) -> tuple[list[float], list[float]]:
-    """Steps of the same episodes: a map has one of each distance."""
-    mine = {(row["map"], row["distance"]): row["steps"] for row in rows}
-    theirs = {(row["map"], row["distance"]): row["steps"] for row in others}
+    """Steps of the same episodes."""
+    mine = {_which(row): row["steps"] for row in rows}
+    theirs = {_which(row): row["steps"] for row in others}
     both = [key for key in mine if key in theirs]
     return [mine[key] for key in both], [theirs[key] for key in both]
 
@@ -195,17 +199,20 @@ def choices(people: Sequence[Person], conditions: Sequence[str], maps: Sequence[
 
 
 def where_right(people: Sequence[Person], conditions: Sequence[str], maps: Sequence[str]) -> list[Row]:
-    """Share of right verdicts by area, and after errors in a row, of all participants together, with intervals."""
+    """Share of right verdicts by area, and after errors in a row, of all participants together, with intervals over
+    participants."""
     rows = []
     for condition in conditions:
-        found = [run for each in people for name in maps if (run := part(each, condition, name)) is not None]
+        found = [[run for name in maps if (run := part(each, condition, name)) is not None] for each in people]
         for kind in ("areas", "errors_in_a_row"):
-            for level in dict.fromkeys(level for run in found for level in run[kind]):
-                right, n = (sum(run[kind][level][place] for run in found) for place in (0, 1))
-                if n:
-                    share = wilson(right, n)
-                    row = {"condition": condition, "of": kind, "level": level, "n": n}
-                    rows.append({**row, "right": share.value, "low": share.low, "high": share.high})
+            for level in dict.fromkeys(level for runs in found for run in runs for level in run[kind]):
+                counts = [[sum(run[kind][level][place] for run in runs) for place in (0, 1)] for runs in found]
+                heard = [each for each in counts if each[1]]
+                if heard:
+                    right, n = zip(*heard, strict=True)
+                    value, low, high = share(right, n)
+                    row = {"condition": condition, "of": kind, "level": level, "participants": len(n), "n": sum(n)}
+                    rows.append({**row, "right": value, "low": low, "high": high})
     return rows
 
 
