@@ -5,8 +5,9 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 from xdf_files import write_xdf
 
-from bci_app.bids import tables
+from bci_app.bids import files, tables
 from bci_app.bids.about import About, read_about
 from bci_app.bids.columns import COLUMNS, TRIAL_TYPES
 from bci_app.bids.dataset import export_bids
@@ -113,7 +114,8 @@ def recorded(folder: Path, participant: str, task: str = "online", run: int = 1,
     name = f"sub-{participant}_ses-S001_task-{task}_run-{run:03d}_eeg.xdf"
     samples, times = eeg(seed)
     path = folder / f"sub-{participant}" / "ses-S001" / "eeg" / name
-    write_xdf(path, samples, times, CHANNELS, SFREQ, said(task, participant), **more)
+    channels, words = more.pop("channels", CHANNELS), more.pop("words", said(task, participant))
+    write_xdf(path, samples, times, channels, SFREQ, words, **more)
     sidecar = {
         "continues": [str(path)] if run > 1 else [],
         "config": Config().model_dump(mode="json"),
@@ -348,8 +350,74 @@ def test_rounding_is_told_and_the_infinite_refused() -> None:
     eeg = described(("Fz", "EEG", "uV"))
     assert not signals(eeg, np.array([[0.1]])).exact
     assert signals(eeg, np.array([[0.1]], dtype=np.float32)).exact
-    with pytest.raises(SetupError, match="infinite values in Fz"):
+    with pytest.raises(SetupError, match="values in Fz that are infinite"):
         signals(eeg, np.array([[np.inf]]))
+    with pytest.raises(SetupError, match="too large for the 32-bit"):
+        signals(eeg, np.array([[1e39]]))
+
+
+UNITS = ("uV", "microvolts", "mV", "V")
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    units=st.tuples(*[st.sampled_from(UNITS)] * 3),
+    other=st.sampled_from(["mV", "V", "nV", "uS", "g", ""]),
+    dtype=st.sampled_from([np.float32, np.float64, np.int16]),
+    extreme=st.lists(st.floats(-(2.0**60), 2.0**60, width=32), max_size=4),
+    kind=st.sampled_from(["brainvision", "eeglab"]),
+)
+@settings(max_examples=40, deadline=None)
+def test_what_is_written_is_what_is_compared_in_any_unit(
+    seed: int, units: tuple[str, ...], other: str, dtype: Any, extreme: list[float], kind: str
+) -> None:
+    """Through the real writers and readers: thousands of values, of which some lie between two 32-bit floats."""
+    rng = np.random.default_rng(seed)
+    samples = (rng.normal(0, 1, (4000, 4)) * 10.0 ** rng.integers(-5, 4, (4000, 1))).astype(dtype)
+    if dtype != np.int16:
+        samples[: len(extreme)] = np.array(extreme, dtype=dtype)[:, None]
+        samples[len(extreme)] = np.nan
+    eeg = described(*((f"C{i}", "EEG", unit) for i, unit in enumerate(units)), ("X", "AUX", other))
+    made = signals(eeg, samples)
+    np.testing.assert_array_equal(made.values[:, :3], eeg.in_microvolts(samples).astype(np.float32))
+    with tempfile.TemporaryDirectory() as folder:
+        write = files.write_eeglab if kind == "eeglab" else files.write_brainvision
+        files.check_same(files.read_back(write(Path(folder), "x", made, [])), made)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("mV", 1e3), ("V", 1e6)])
+def test_a_recording_in_other_units_is_exported_and_told_to_be_rounded(
+    tmp_path: Path, unit: str, factor: float
+) -> None:
+    from mne_bids import BIDSPath, read_raw_bids
+
+    channels = [(name, kind, unit if given else given) for name, kind, given in CHANNELS]
+    path = recorded(tmp_path, "P001", channels=channels)
+    told = export_bids([path], tmp_path / "bids", About(), False, quiet)
+    assert told["fit"]
+    assert told["runs"][0]["samples_are"] == "rounded to 32-bit floats"
+    place = BIDSPath(
+        root=tmp_path / "bids", subject="P001", session="S001", task="online", run="001", datatype="eeg", suffix="eeg"
+    )
+    back = read_raw_bids(place, verbose="ERROR").get_data(picks=["eeg", "eog"]).T * 1e6
+    expected = (eeg(1)[0][:, :7].astype(np.float64) * factor).astype(np.float32)
+    np.testing.assert_array_equal(back.astype(np.float32), expected)
+    described = json.loads(place.copy().update(extension=".json").fpath.read_text())
+    assert described["ErrpBci"]["SamplesExact"] is False
+    for kind in ("brainvision", "eeglab"):
+        assert export(path, tmp_path / kind, kind, False, quiet)["samples"] == len(expected)
+
+
+def test_a_sample_that_reads_back_otherwise_is_an_error_with_its_place(tmp_path: Path) -> None:
+    made = signals(described(("Fz", "EEG", "uV"), ("Cz", "EEG", "uV")), np.ones((50, 2), dtype=np.float32))
+    path = files.write_brainvision(tmp_path, "x", made, [])
+    data = np.fromfile(path.with_suffix(".eeg"), dtype="<f4")
+    data[2 * 7 + 1] = 3
+    data.tofile(path.with_suffix(".eeg"))
+    with pytest.raises(SetupError, match=r"Sample 7 of Cz in x.eeg should read back as 1.0, found 3.0"):
+        files.check_same(files.read_back(path), made)
+    with pytest.raises(SetupError, match="should read back as 50 samples of Fz, Pz, found 50 of Fz, Cz"):
+        files.check_same(files.read_back(path), replace(made, names=("Fz", "Pz")))
 
 
 @given(
