@@ -115,10 +115,11 @@ def recorded(folder: Path, participant: str, task: str = "online", run: int = 1,
     samples, times = eeg(seed)
     path = folder / f"sub-{participant}" / "ses-S001" / "eeg" / name
     channels, words = more.pop("channels", CHANNELS), more.pop("words", said(task, participant))
+    config = more.pop("config", Config())
     write_xdf(path, samples, times, channels, SFREQ, words, **more)
     sidecar = {
         "continues": [str(path)] if run > 1 else [],
-        "config": Config().model_dump(mode="json"),
+        "config": config.model_dump(mode="json"),
         "simulated": participant == "P002",
         "versions": {"mne": "1"},
     }
@@ -268,6 +269,57 @@ def test_a_simulated_run_says_so_and_a_run_its_configuration(study: Study) -> No
     assert told["EEGReference"] == "FCz"
     real = json.loads((study.eeg() / "sub-P001_ses-S001_task-online_run-001_eeg.json").read_text())
     assert "SIMULATED" not in real["TaskDescription"]
+
+
+def test_what_the_photodiode_added_to_the_stamps_is_told(tmp_path: Path) -> None:
+    stimulus = Config().stimulus.model_copy(update={"photon_delay_ms": 12.5, "set_up": "/lab/set-up.json"})
+    path = recorded(tmp_path, "P001", config=Config().model_copy(update={"stimulus": stimulus}))
+    told = read_source(path, False).told()
+    assert told["PhotonDelayMs"] == 12.5
+    assert "set_up" not in told["Configuration"]["stimulus"]
+    assert "ErrpBci.PhotonDelayMs" in COLUMNS["stamp"]["Description"]
+    path.with_suffix(".json").unlink()
+    assert read_source(path, False).told()["PhotonDelayMs"] is None
+
+
+@pytest.mark.parametrize(
+    ("hosts", "clocks", "ahead"),
+    [
+        ({}, {}, 0.0),
+        ({"bci-verdicts": "third"}, {"Amp": [(100.0, -0.25)], "bci-verdicts": [(1e3, -1000.0)]}, 1000.0),
+        # It drifts: half-way between two measurements is between their offsets.
+        ({"bci-verdicts": "third"}, {"Amp": [(100, -0.25)], "bci-verdicts": [(1100, -998), (1140, -1002)]}, 1000.0),
+        ({"bci-verdicts": "amplifier's", "Amp": "amplifier's"}, {}, 0.25),
+    ],
+)
+def test_what_the_decoder_said_is_placed_by_its_own_clock(
+    tmp_path: Path, hosts: dict[str, str], clocks: dict[str, list[tuple[float, float]]], ahead: float
+) -> None:
+    """On a computer whose clock is `ahead` of the stimulus's."""
+    words, of = said("online", "P001"), {"session": "s"}
+    newest = float(eeg(1)[1][1500])
+    looked = Electrodes(episode=0, step=2, n_samples=10, last_time=newest, **of)
+    note = Note(role="decoder", level="warning", text="slow", **of)
+    mine = [*words["bci-verdicts"], (109.0, looked), (119.999, note)]
+    words["bci-verdicts"] = [(stamp + ahead, message) for stamp, message in mine]
+    here = read_source(recorded(tmp_path / "one", "P001"), False).events.rows
+    path = recorded(tmp_path / "several", "P001", words=words, hosts=hosts, clocks=clocks)
+    found = read_source(path, False).events.rows
+
+    moves, expected = ([dict(row) for row in rows if "action" in row] for rows in (found, here))
+    after = [row.pop("verdict_after") for row in moves]
+    assert [row.pop("verdict_after") for row in expected] == pytest.approx([0.7] * N_MOVES)
+    assert after == [None] * N_MOVES if hosts else after == pytest.approx([0.7] * N_MOVES)
+    for one, other in zip(moves, expected, strict=True):
+        assert one.items() >= (other | {"bad_channels": one["bad_channels"]}).items()
+    (slow,) = (row for row in found if row.get("text") == "warning from decoder: slow")
+    assert slow["clock_offset"] == pytest.approx(0.25 - ahead, abs=2e-4)
+    assert slow["sample"] == int(np.argmin(np.abs(eeg(1)[1] - 120.249)))
+    assert slow["block"] == 0
+    looks = {row["step"]: row["sample"] for row in found if row["trial_type"] == "electrodes"}
+    assert looks[2] == 1500
+    if len(clocks.get("bci-verdicts", [])) < 2:
+        assert looks[0] == round((105.3 + 0.25 - 100) * SFREQ)
 
 
 def test_another_recording_of_the_same_name_is_refused(study: Study, tmp_path: Path) -> None:
