@@ -1,7 +1,8 @@
 """Read a recorded run: raw stamps, the EEG as it went over the wire, and every message in order."""
 
 import logging
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -44,6 +45,21 @@ class Stamped:
     message: Message
 
 
+@dataclass(frozen=True)
+class SenderClock:
+    """The clock that stamped a stream.
+
+    Attributes
+    ----------
+    hostname : of its computer, as LSL wrote it into the stream's header.
+    times, offsets : when LabRecorder measured it, in its own seconds, and what to add to be on the recorder's, in s.
+    """
+
+    hostname: str
+    times: tuple[float, ...] = ()
+    offsets: tuple[float, ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class Recording:
     """A recorded run.
@@ -57,6 +73,7 @@ class Recording:
     messages : of all our streams that count (`said.without_void`), ordered by stamp.
     damage : sentences about what is missing or unreadable; empty for a whole file.
     markers : (stamp, code) of the int32 stream, each once, in the order they were recorded.
+    clocks : of the EEG's stream and ours, by the stream's name.
     """
 
     path: Path
@@ -66,6 +83,7 @@ class Recording:
     messages: tuple[Stamped, ...]
     damage: tuple[str, ...]
     markers: tuple[tuple[float, int], ...] = ()
+    clocks: Mapping[str, SenderClock] = field(default_factory=dict)
 
     def of(self, kind: type[M]) -> list[tuple[float, M]]:
         """All messages of one type with their stamps, in order."""
@@ -100,7 +118,8 @@ def read(path: Path, allow_damage: bool = False, eeg_type: str = "EEG") -> Recor
         raise SetupError(f"{path} is damaged: {' '.join(damage)} What is left can be read with --allow-damage.")
     samples = np.asarray(stream["time_series"])
     times = np.asarray(stream["time_stamps"], dtype=np.float64)
-    return Recording(path, describe(stream["info"]), samples, times, messages, tuple(damage), _markers(streams))
+    eeg, clocks = describe(stream["info"]), _clocks([*streams, stream])
+    return Recording(path, eeg, samples, times, messages, tuple(damage), _markers(streams), clocks)
 
 
 def read_run(path: Path, allow_damage: bool) -> tuple[Recording, SessionStart, dict[str, Any]]:
@@ -165,6 +184,16 @@ def _eeg_stream(streams: list[dict[str, Any]], path: Path, eeg_type: str) -> dic
         listed = ", ".join(f"'{s['info']['name'][0]}' ({s['info']['type'][0]})" for s in streams) or "no stream"
         raise SetupError(f"{path} must hold exactly one EEG stream with samples, found {len(candidates)} in: {listed}.")
     return candidates[0]
+
+
+def _clocks(streams: list[dict[str, Any]]) -> dict[str, SenderClock]:
+    """By the stream's name; of two with the same name the last one's."""
+    return {
+        stream["info"]["name"][0]: SenderClock(
+            _text(stream["info"], "hostname"), tuple(stream["clock_times"]), tuple(stream["clock_values"])
+        )
+        for stream in streams
+    }
 
 
 def describe(info: dict[str, Any]) -> EegDescription:

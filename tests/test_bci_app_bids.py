@@ -5,8 +5,9 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 from xdf_files import write_xdf
 
-from bci_app.bids import tables
+from bci_app.bids import files, tables
 from bci_app.bids.about import About, read_about
 from bci_app.bids.columns import COLUMNS, TRIAL_TYPES
 from bci_app.bids.dataset import export_bids
@@ -113,10 +114,12 @@ def recorded(folder: Path, participant: str, task: str = "online", run: int = 1,
     name = f"sub-{participant}_ses-S001_task-{task}_run-{run:03d}_eeg.xdf"
     samples, times = eeg(seed)
     path = folder / f"sub-{participant}" / "ses-S001" / "eeg" / name
-    write_xdf(path, samples, times, CHANNELS, SFREQ, said(task, participant), **more)
+    channels, words = more.pop("channels", CHANNELS), more.pop("words", said(task, participant))
+    config = more.pop("config", Config())
+    write_xdf(path, samples, times, channels, SFREQ, words, **more)
     sidecar = {
         "continues": [str(path)] if run > 1 else [],
-        "config": Config().model_dump(mode="json"),
+        "config": config.model_dump(mode="json"),
         "simulated": participant == "P002",
         "versions": {"mne": "1"},
     }
@@ -268,6 +271,57 @@ def test_a_simulated_run_says_so_and_a_run_its_configuration(study: Study) -> No
     assert "SIMULATED" not in real["TaskDescription"]
 
 
+def test_what_the_photodiode_added_to_the_stamps_is_told(tmp_path: Path) -> None:
+    stimulus = Config().stimulus.model_copy(update={"photon_delay_ms": 12.5, "set_up": "/lab/set-up.json"})
+    path = recorded(tmp_path, "P001", config=Config().model_copy(update={"stimulus": stimulus}))
+    told = read_source(path, False).told()
+    assert told["PhotonDelayMs"] == 12.5
+    assert "set_up" not in told["Configuration"]["stimulus"]
+    assert "ErrpBci.PhotonDelayMs" in COLUMNS["stamp"]["Description"]
+    path.with_suffix(".json").unlink()
+    assert read_source(path, False).told()["PhotonDelayMs"] is None
+
+
+@pytest.mark.parametrize(
+    ("hosts", "clocks", "ahead"),
+    [
+        ({}, {}, 0.0),
+        ({"bci-verdicts": "third"}, {"Amp": [(100.0, -0.25)], "bci-verdicts": [(1e3, -1000.0)]}, 1000.0),
+        # It drifts: half-way between two measurements is between their offsets.
+        ({"bci-verdicts": "third"}, {"Amp": [(100, -0.25)], "bci-verdicts": [(1100, -998), (1140, -1002)]}, 1000.0),
+        ({"bci-verdicts": "amplifier's", "Amp": "amplifier's"}, {}, 0.25),
+    ],
+)
+def test_what_the_decoder_said_is_placed_by_its_own_clock(
+    tmp_path: Path, hosts: dict[str, str], clocks: dict[str, list[tuple[float, float]]], ahead: float
+) -> None:
+    """On a computer whose clock is `ahead` of the stimulus's."""
+    words, of = said("online", "P001"), {"session": "s"}
+    newest = float(eeg(1)[1][1500])
+    looked = Electrodes(episode=0, step=2, n_samples=10, last_time=newest, **of)
+    note = Note(role="decoder", level="warning", text="slow", **of)
+    mine = [*words["bci-verdicts"], (109.0, looked), (119.999, note)]
+    words["bci-verdicts"] = [(stamp + ahead, message) for stamp, message in mine]
+    here = read_source(recorded(tmp_path / "one", "P001"), False).events.rows
+    path = recorded(tmp_path / "several", "P001", words=words, hosts=hosts, clocks=clocks)
+    found = read_source(path, False).events.rows
+
+    moves, expected = ([dict(row) for row in rows if "action" in row] for rows in (found, here))
+    after = [row.pop("verdict_after") for row in moves]
+    assert [row.pop("verdict_after") for row in expected] == pytest.approx([0.7] * N_MOVES)
+    assert after == [None] * N_MOVES if hosts else after == pytest.approx([0.7] * N_MOVES)
+    for one, other in zip(moves, expected, strict=True):
+        assert one.items() >= (other | {"bad_channels": one["bad_channels"]}).items()
+    (slow,) = (row for row in found if row.get("text") == "warning from decoder: slow")
+    assert slow["clock_offset"] == pytest.approx(0.25 - ahead, abs=2e-4)
+    assert slow["sample"] == int(np.argmin(np.abs(eeg(1)[1] - 120.249)))
+    assert slow["block"] == 0
+    looks = {row["step"]: row["sample"] for row in found if row["trial_type"] == "electrodes"}
+    assert looks[2] == 1500
+    if len(clocks.get("bci-verdicts", [])) < 2:
+        assert looks[0] == round((105.3 + 0.25 - 100) * SFREQ)
+
+
 def test_another_recording_of_the_same_name_is_refused(study: Study, tmp_path: Path) -> None:
     before = {path: path.read_bytes() for path in study.out.rglob("*") if path.is_file()}
     other = recorded(tmp_path, "P001", seed=9)
@@ -348,8 +402,74 @@ def test_rounding_is_told_and_the_infinite_refused() -> None:
     eeg = described(("Fz", "EEG", "uV"))
     assert not signals(eeg, np.array([[0.1]])).exact
     assert signals(eeg, np.array([[0.1]], dtype=np.float32)).exact
-    with pytest.raises(SetupError, match="infinite values in Fz"):
+    with pytest.raises(SetupError, match="values in Fz that are infinite"):
         signals(eeg, np.array([[np.inf]]))
+    with pytest.raises(SetupError, match="too large for the 32-bit"):
+        signals(eeg, np.array([[1e39]]))
+
+
+UNITS = ("uV", "microvolts", "mV", "V")
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    units=st.tuples(*[st.sampled_from(UNITS)] * 3),
+    other=st.sampled_from(["mV", "V", "nV", "uS", "g", ""]),
+    dtype=st.sampled_from([np.float32, np.float64, np.int16]),
+    extreme=st.lists(st.floats(-(2.0**60), 2.0**60, width=32), max_size=4),
+    kind=st.sampled_from(["brainvision", "eeglab"]),
+)
+@settings(max_examples=40, deadline=None)
+def test_what_is_written_is_what_is_compared_in_any_unit(
+    seed: int, units: tuple[str, ...], other: str, dtype: Any, extreme: list[float], kind: str
+) -> None:
+    """Through the real writers and readers: thousands of values, of which some lie between two 32-bit floats."""
+    rng = np.random.default_rng(seed)
+    samples = (rng.normal(0, 1, (4000, 4)) * 10.0 ** rng.integers(-5, 4, (4000, 1))).astype(dtype)
+    if dtype != np.int16:
+        samples[: len(extreme)] = np.array(extreme, dtype=dtype)[:, None]
+        samples[len(extreme)] = np.nan
+    eeg = described(*((f"C{i}", "EEG", unit) for i, unit in enumerate(units)), ("X", "AUX", other))
+    made = signals(eeg, samples)
+    np.testing.assert_array_equal(made.values[:, :3], eeg.in_microvolts(samples).astype(np.float32))
+    with tempfile.TemporaryDirectory() as folder:
+        write = files.write_eeglab if kind == "eeglab" else files.write_brainvision
+        files.check_same(files.read_back(write(Path(folder), "x", made, [])), made)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("mV", 1e3), ("V", 1e6)])
+def test_a_recording_in_other_units_is_exported_and_told_to_be_rounded(
+    tmp_path: Path, unit: str, factor: float
+) -> None:
+    from mne_bids import BIDSPath, read_raw_bids
+
+    channels = [(name, kind, unit if given else given) for name, kind, given in CHANNELS]
+    path = recorded(tmp_path, "P001", channels=channels)
+    told = export_bids([path], tmp_path / "bids", About(), False, quiet)
+    assert told["fit"]
+    assert told["runs"][0]["samples_are"] == "rounded to 32-bit floats"
+    place = BIDSPath(
+        root=tmp_path / "bids", subject="P001", session="S001", task="online", run="001", datatype="eeg", suffix="eeg"
+    )
+    back = read_raw_bids(place, verbose="ERROR").get_data(picks=["eeg", "eog"]).T * 1e6
+    expected = (eeg(1)[0][:, :7].astype(np.float64) * factor).astype(np.float32)
+    np.testing.assert_array_equal(back.astype(np.float32), expected)
+    described = json.loads(place.copy().update(extension=".json").fpath.read_text())
+    assert described["ErrpBci"]["SamplesExact"] is False
+    for kind in ("brainvision", "eeglab"):
+        assert export(path, tmp_path / kind, kind, False, quiet)["samples"] == len(expected)
+
+
+def test_a_sample_that_reads_back_otherwise_is_an_error_with_its_place(tmp_path: Path) -> None:
+    made = signals(described(("Fz", "EEG", "uV"), ("Cz", "EEG", "uV")), np.ones((50, 2), dtype=np.float32))
+    path = files.write_brainvision(tmp_path, "x", made, [])
+    data = np.fromfile(path.with_suffix(".eeg"), dtype="<f4")
+    data[2 * 7 + 1] = 3
+    data.tofile(path.with_suffix(".eeg"))
+    with pytest.raises(SetupError, match=r"Sample 7 of Cz in x.eeg should read back as 1.0, found 3.0"):
+        files.check_same(files.read_back(path), made)
+    with pytest.raises(SetupError, match="should read back as 50 samples of Fz, Pz, found 50 of Fz, Cz"):
+        files.check_same(files.read_back(path), replace(made, names=("Fz", "Pz")))
 
 
 @given(

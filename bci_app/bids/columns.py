@@ -35,7 +35,8 @@ TRIAL_TYPES: dict[str, tuple[str, str]] = {
     "resume": ("The stimulus goes on", "Experiment-structure"),
     "continued": ("The stimulus was started again after a failure and goes on after this step", "Experiment-structure"),
     "electrodes": (
-        "The decoder looked at the electrodes; bad_channels: which are repaired from the others from now on",
+        "The decoder looked at the electrodes, up to this sample; bad_channels: which are repaired from the others from"
+        " now on",
         "Data-feature, Computed-feature",
     ),
     "screen": ("The participant sees a screen between the moves; text: which", "Sensory-event, Visual-presentation"),
@@ -103,7 +104,11 @@ COLUMNS: dict[str, dict[str, Any]] = {
     "bad_channels": _column("Channels that were repaired from the others, with their faults"),
     "epoch_start": _column("Time of the first sample of the epoch the verdict came from, on the scale of onset", "s"),
     "epoch_samples": _column("Samples of that epoch"),
-    "verdict_after": _column("From the onset to the verdict's being sent, in session time", "s"),
+    "verdict_after": _column(
+        "From the move's stamp to the verdict's being sent, in session time; n/a where stimulus and decoder ran on two "
+        "computers, for their clocks aren't one",
+        "s",
+    ),
     "verdict_latency": _column("Real time from the arrival of the epoch's last sample to the verdict's sending", "ms"),
     "policy_took": _column("The verdict on this move as the policy took it for its next action", levels=_TAKEN),
     **{
@@ -112,8 +117,17 @@ COLUMNS: dict[str, dict[str, Any]] = {
     },
     "action_latency": _column("Real time from the verdict before, or the episode's start, to this move's action", "ms"),
     "late": _column("How much later than due the picture was shown", "ms"),
-    "stamp": _column("Stamp of the event as recorded: LSL time of the screen's flip for a move", "s"),
-    "clock_offset": _column("Added to stamp to put it on the EEG's clock", "s"),
+    "stamp": _column(
+        "Stamp of the event as recorded, on the LSL clock of who said it. For a move the time of the screen's flip, "
+        "plus the delay of the light where a photodiode has shown one: stamp and onset hold it already. How long it is "
+        "tell a note at the run's start, and ErrpBci.PhotonDelayMs in its _eeg.json (0: none was measured)",
+        "s",
+    ),
+    "clock_offset": _column(
+        "Added to stamp to put it on the EEG's clock: for what the stimulus stamped, and all on its computer, as the "
+        "decoder measured it, else as LabRecorder did",
+        "s",
+    ),
     "text": _column("In words"),
 }
 """The content of ``events.json``: the columns in order. (BIDS knows the column HED.)"""

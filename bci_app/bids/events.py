@@ -1,12 +1,13 @@
 """The events of a recorded run as the rows of ``events.tsv``: one a move, with all that became of it."""
 
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from bci_app.bids.clocks import Clocks, sender
 from bci_app.bids.columns import hed
 from bci_app.bids.grid import Gap, gaps, rows
 from bci_app.moves import Key, electrodes
@@ -61,11 +62,14 @@ def events(recording: Recording, shape: Shape) -> Events:
     """All events of a recording, placed as an epoch of this shape is."""
     found = list(_moves(recording)) + list(_others(recording))
     times, sfreq = recording.times, recording.eeg.sfreq
-    stamps = [row["stamp"] + row["clock_offset"] for row in found]
+    newest = [row.pop("last_time", None) for row in found]
+    own = [row["stamp"] + row["clock_offset"] for row in found]
+    stamps = [stamp if last is None else last for stamp, last in zip(own, newest, strict=True)]
     samples = rows(times, stamps, shape)
     n_epochs = n_same = 0
-    for row, stamp, sample in zip(found, stamps, samples, strict=True):
-        row["sample"] = sample
+    for row, stamp, last, sample in zip(found, stamps, newest, samples, strict=True):
+        exact = None if last is None else _row_stamped(recording, last, sample)
+        row["sample"] = sample if exact is None else exact
         if "action" in row and abs(times[sample] - stamp) > MAX_JITTER + 0.5 / sfreq:
             row["trial_type"] = "move/unseen"
         first = row.pop("first_time", None)
@@ -98,8 +102,8 @@ def _moves(recording: Recording) -> Iterator[Row]:
     late = {_key(message): message.late_ms for _, message in recording.of(LateFrame) if message.step is not None}
     goals = {goal.episode: goal.goal for _, goal in recording.of(EpisodeGoal)}
     decided = electrodes(recording)
-    offset = _Offsets(recording)
-    block = _Blocks(recording)
+    clocks = Clocks(recording)
+    block, one_clock = _Blocks(recording, clocks), clocks.is_the_stimulus_s("decoder")
     seen: set[Key] = set()
     for stamp, move in recording.of(MoveOnset):
         key = _key(move)
@@ -107,11 +111,12 @@ def _moves(recording: Recording) -> Iterator[Row]:
             continue
         seen.add(key)
         error = truth[key].error if key in truth else None
+        offset = clocks.offset("stimulus", stamp)
         row = {
             "trial_type": f"move/{_TRUTH[error] or 'unknown'}",
             "stamp": stamp,
-            "clock_offset": offset.at(stamp),
-            "block": block.at(stamp),
+            "clock_offset": offset,
+            "block": block.at(stamp + offset),
             "action": move.action,
             "truth": _TRUTH[error],
             "distance": truth[key].distance if key in truth else None,
@@ -119,10 +124,10 @@ def _moves(recording: Recording) -> Iterator[Row]:
             "bad_channels": _bad(decided, key),
             **_where(move, goals),
         }
-        yield row | _of_verdict(verdicts.get(key), said.get(key), row) | _of_actions(actions, key)
+        yield row | _of_verdict(verdicts.get(key), said.get(key), row, one_clock) | _of_actions(actions, key)
 
 
-def _of_verdict(verdict: Verdict | None, said: float | None, row: Row) -> Row:
+def _of_verdict(verdict: Verdict | None, said: float | None, row: Row, one_clock: bool) -> Row:
     if verdict is None or said is None:
         return {}
     return {
@@ -133,7 +138,7 @@ def _of_verdict(verdict: Verdict | None, said: float | None, row: Row) -> Row:
         "rejected": verdict.reason,
         "first_time": verdict.first_time,
         "epoch_samples": verdict.n_samples or None,
-        "verdict_after": said - row["stamp"],
+        "verdict_after": said - row["stamp"] if one_clock else None,
         "verdict_latency": verdict.latency_ms,
     }
 
@@ -151,24 +156,26 @@ def _of_actions(actions: Mapping[Key, Action], key: Key) -> Row:
 def _others(recording: Recording) -> Iterator[Row]:
     goals = {goal.episode: goal.goal for _, goal in recording.of(EpisodeGoal)}
     distances = {goal.episode: goal.distance for _, goal in recording.of(EpisodeGoal)}
-    offset, block = _Offsets(recording), _Blocks(recording)
+    clocks = Clocks(recording)
+    block = _Blocks(recording, clocks)
     for item in recording.messages:
         told = _told(item.message)
         if told is None:
             continue
         name, text = told
+        offset = clocks.offset(sender(item.message), item.stamp)
         row = {
             "trial_type": name,
             "text": text,
             "stamp": item.stamp,
-            "clock_offset": offset.at(item.stamp),
-            "block": getattr(item.message, "block", block.at(item.stamp)),
+            "clock_offset": offset,
+            "block": getattr(item.message, "block", block.at(item.stamp + offset)),
             **_where(item.message, goals),
         }
         if isinstance(item.message, EpisodeStart):
             row["distance"] = distances.get(item.message.episode)
         if isinstance(item.message, Electrodes):
-            row["bad_channels"] = _faults(item.message)
+            row |= {"bad_channels": _faults(item.message), "last_time": item.message.last_time}
         if isinstance(item.message, LateFrame):
             row["late"] = item.message.late_ms
         yield row
@@ -241,28 +248,15 @@ def _key(message: Any) -> Key:
     return message.episode, message.step
 
 
-class _Offsets:
-    """What to add to the stimulus's stamps: the decoder's offset, which comes with each verdict."""
-
-    def __init__(self, recording: Recording) -> None:
-        said = recording.of(Verdict)
-        self._stamps: Sequence[float] = [stamp for stamp, _ in said]
-        self._offsets = [verdict.clock_offset for _, verdict in said]
-
-    def at(self, stamp: float) -> float:
-        """The offset of the verdict that followed, else of the last one; 0 without any."""
-        place = bisect_right(self._stamps, stamp)
-        return self._offsets[min(place, len(self._offsets) - 1)] if self._offsets else 0.0
-
-
 class _Blocks:
-    """The block under way at a stamp."""
+    """The block under way at a time of the EEG's clock."""
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: Recording, clocks: Clocks) -> None:
         starts = recording.of(BlockStart)
-        self._stamps, self._blocks = [stamp for stamp, _ in starts], [start.block for _, start in starts]
+        self._times = [stamp + clocks.offset("stimulus", stamp) for stamp, _ in starts]
+        self._blocks = [start.block for _, start in starts]
 
-    def at(self, stamp: float) -> int | None:
+    def at(self, time: float) -> int | None:
         """None before the first."""
-        place = bisect_right(self._stamps, stamp)
+        place = bisect_right(self._times, time)
         return self._blocks[place - 1] if place else None

@@ -18,6 +18,7 @@ Row = dict[str, Any]
 EEGLAB_MOST_BYTES = 2**31 - 1
 """Of one variable in a .set file (MATLAB's format 5)."""
 _COMMENT = "Comment"
+_NOT_KEPT = "It isn't kept. Export once more, on another disk; the recording itself is untouched."
 
 
 def events_text(rows: Sequence[Row], with_hed: bool = True) -> str:
@@ -34,8 +35,8 @@ def write_brainvision(folder: Path, name: str, signals: Signals, rows: Sequence[
     import pybv
 
     with warnings.catch_warnings():
-        # MISC channels have other units than BrainVision knows; MNE reads them as they are.
-        warnings.filterwarnings("ignore", "Encountered unsupported non-voltage units")
+        # MISC channels may have other units than microvolts; MNE reads them as they are.
+        warnings.filterwarnings("ignore", "Encountered unsupported (non-)?voltage units")
         pybv.write_brainvision(
             data=_volts(signals).T,
             sfreq=signals.sfreq,
@@ -91,9 +92,12 @@ def _eeglab_places(names: Sequence[str]) -> NDArray[np.float64] | None:
 
 
 def _volts(signals: Signals, all_in_volts: bool = False) -> NDArray[np.float64]:
-    """(n_times, n_channels) as the writers want them: volts; MISC as they are, or so that times 1e6 they are."""
+    """(n_times, n_channels) as the writers want them: volts; MISC as they are, or so that times 1e6 they are.
+
+    A float32 divided and multiplied in float64 is off by so little that it is rounded back to itself.
+    """
     factors = [1e-6 if all_in_volts or unit == MICROVOLT else _factor(unit) for unit in signals.units]
-    return signals.values * np.array(factors, dtype=np.float64)
+    return np.asarray(signals.values * np.array(factors), dtype=np.float64)
 
 
 def _factor(unit: str) -> float:
@@ -113,24 +117,30 @@ def read_back(path: Path) -> Any:
 
 
 def check_same(raw: Any, signals: Signals) -> None:
-    """Raise RuntimeError unless a raw object holds the very samples, as 32-bit floats in the signals' units."""
+    """Raise SetupError unless a raw object holds the very samples, as 32-bit floats in the signals' units."""
+    name = Path(raw.filenames[0]).name
     if tuple(raw.ch_names) != signals.names or raw.n_times != len(signals.values):
-        raise RuntimeError(f"{raw.filenames[0]} reads back with other channels or another number of samples.")
+        raise SetupError(
+            f"{name} should read back as {len(signals.values)} samples of {', '.join(signals.names)}, found "
+            f"{raw.n_times} of {', '.join(raw.ch_names)}. {_NOT_KEPT}"
+        )
     at = 0
     for piece in pieces(signals.values):
         back = _in_units(raw.get_data(start=at, stop=at + len(piece)).T, raw, signals)
-        same = (back == piece.astype(np.float32)) | (np.isnan(back) & np.isnan(piece))
+        same = (back == piece) | (np.isnan(back) & np.isnan(piece))
         if not same.all():
             row, channel = np.argwhere(~same)[0]
-            raise RuntimeError(f"{raw.filenames[0]} reads back another sample {at + row} of {signals.names[channel]}.")
+            raise SetupError(
+                f"Sample {at + row} of {signals.names[channel]} in {name} should read back as {piece[row, channel]}, "
+                f"found {back[row, channel]}. {_NOT_KEPT}"
+            )
         at += len(piece)
 
 
 def _in_units(volts: NDArray[np.float64], raw: Any, signals: Signals) -> NDArray[np.float32]:
-    if str(raw.filenames[0]).endswith((".set", ".fdt")):
-        factors = [1e6] * len(signals.units)
-    else:
-        factors = [1e6 if unit == MICROVOLT else 1 / _factor(unit) for unit in signals.units]
+    # MNE brings some units of MISC to their base unit (uS), and tells by how much.
+    told = [1 / (channel["cal"] * channel["range"]) for channel in raw.info["chs"]]
+    factors = [1e6 if unit == MICROVOLT else factor for unit, factor in zip(signals.units, told, strict=True)]
     return np.asarray((volts * factors).astype(np.float32))
 
 

@@ -25,15 +25,15 @@ class Signals:
     names : unique labels, in stream order.
     kinds : BIDS's channel types: EEG, EOG, or MISC for all others.
     units : `MICROVOLT` for EEG and EOG, the stream's own or ``n/a`` for MISC.
-    values : float, (n_times, n_channels), in these units.
+    values : float32, (n_times, n_channels), in these units: just what is written.
     sfreq : nominal rate, Hz.
-    exact : whether float32, in which the formats keep samples, holds every value to the bit.
+    exact : whether float32, in which the formats keep samples, holds every value that came to the bit.
     """
 
     names: tuple[str, ...]
     kinds: tuple[str, ...]
     units: tuple[str, ...]
-    values: NDArray[Any]
+    values: NDArray[np.float32]
     sfreq: float
     exact: bool
 
@@ -46,7 +46,11 @@ class Signals:
 def signals(eeg: EegDescription, samples: NDArray[Any]) -> Signals:
     """The signals of samples as on the wire, (n_times, n_channels).
 
-    Raises SetupError for units that can't be told, and for infinite values, which BrainVision can't hold.
+    They are rounded to float32 here, not by the writers: a value near the middle between two floats would go to the
+    other one by what a writer multiplies it with, and a float itself never does.
+
+    Raises SetupError for units that can't be told, and for values that are infinite, in float32 at least: BrainVision
+    can't hold them.
     """
     picked = set(eeg.picks.tolist())
     kinds = [_kind(eeg.types[i]) if i in picked else "MISC" for i in range(len(eeg.channels))]
@@ -58,14 +62,16 @@ def signals(eeg: EegDescription, samples: NDArray[Any]) -> Signals:
         values = samples.astype(np.float64)
         values[:, eeg.picks] = microvolts
     names = _names(eeg.channels, kinds)
-    infinite = [name for name, bad in zip(names, _any(values, np.isinf), strict=True) if bad]
+    with np.errstate(over="ignore"):  # what is too large becomes infinite, and that is told
+        rounded = values.astype(np.float32, copy=False)
+    infinite = [name for name, bad in zip(names, _any(rounded, np.isinf), strict=True) if bad]
     if infinite:
         raise SetupError(
-            f"Stream '{eeg.name}' has infinite values in {', '.join(infinite)}, which BrainVision and EEGLAB can't "
-            "hold. The recording itself keeps them: read it as XDF."
+            f"Stream '{eeg.name}' has values in {', '.join(infinite)} that are infinite or too large for the 32-bit "
+            "floats of BrainVision and EEGLAB. The recording itself keeps them: read it as XDF."
         )
-    exact = values.dtype == np.float32 or not any(_any(values, _is_rounded))
-    return Signals(tuple(names), tuple(kinds), tuple(units), values, eeg.sfreq, bool(exact))
+    exact = rounded is values or not any(_any(values, _is_rounded))
+    return Signals(tuple(names), tuple(kinds), tuple(units), rounded, eeg.sfreq, bool(exact))
 
 
 def _kind(kind: str) -> str:

@@ -20,7 +20,7 @@ from decoder.timeline import measured_rate
 NAME = re.compile(
     r"sub-(?P<participant>[A-Za-z0-9]+)_ses-(?P<visit>[A-Za-z0-9]+)_task-(?P<task>[A-Za-z0-9]+)_run-(?P<run>\d+)_eeg\.xdf"
 )
-MACHINE = ("recordings", "background", "rehearse")
+MACHINE = ("recordings", "background", "rehearse", "set_up")
 """Settings that are paths of the machine the run was made on: they aren't told."""
 
 
@@ -80,6 +80,7 @@ class Source:
             "Session": self.start.session,
             "Stream": {"Name": eeg.name, "SourceId": eeg.source_id},
             "SamplesExact": self.signals.exact,
+            "PhotonDelayMs": _photon_delay(sidecar.get("config", {})),
             "MeasuredSamplingFrequency": _rate(self.recording),
             "FirstStamp": float(self.recording.times[0]),
             "LostSamples": self.n_lost,
@@ -155,6 +156,12 @@ def _shape(sidecar: dict[str, Any], path: Path, recording: Recording) -> Shape:
     kept = config.get("chain", {}) if isinstance(config, dict) else {}
     made = design(validated({"chain": kept}, str(path)).chain, recording.eeg.sfreq)
     return Shape(recording.eeg.sfreq, made.n_before, made.n_after)
+
+
+def _photon_delay(config: Any) -> float | None:
+    """What is in the stamps of the moves, in ms; None where the sidecar doesn't tell."""
+    stimulus = config.get("stimulus") if isinstance(config, dict) else None
+    return stimulus.get("photon_delay_ms") if isinstance(stimulus, dict) else None
 
 
 def _rate(recording: Recording) -> float | None:
