@@ -6,7 +6,7 @@ from math import hypot
 import numpy as np
 from scipy import stats
 
-from bci_app.report import Row, distinct, those
+from bci_app.report import Row, by_person, distinct, those
 from bci_app.report.steps import is_right, judged
 from decoder.calibration import Estimate, wilson
 
@@ -70,14 +70,15 @@ def difference_row(moves: Sequence[Row], **where: object) -> list[Row]:
 def group_rows(rows: Sequence[Row]) -> list[Row]:
     """Over participants, on each map: mean difference with Student's interval, and Wilcoxon's signed-rank test.
 
-    `rows` are of `difference_row`. Nothing with fewer than `FEWEST_PARTICIPANTS`.
+    `rows` are of `difference_row`; a participant's visits and runs are averaged first. Nothing with fewer than
+    `FEWEST_PARTICIPANTS`.
     """
     found = []
     for name in distinct(list(rows), "map"):
-        group = those(list(rows), map=name)
+        group = by_person(those(list(rows), map=name), *AREAS, "difference")
         differences = np.array([row["difference"] for row in group])
         n = len(differences)
-        if len(distinct(group, "participant")) < FEWEST_PARTICIPANTS or not differences.any():
+        if n < FEWEST_PARTICIPANTS or not differences.any():
             continue
         half = float(stats.t.ppf(0.975, n - 1) * differences.std(ddof=1) / np.sqrt(n))
         mean = float(differences.mean())

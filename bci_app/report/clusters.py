@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bci_app.report import Row, distinct, those
+from bci_app.report import Row, distinct
 from bci_app.report.areas import AREAS
 from bci_app.report.erp import FEWEST
 from bci_app.report.waveforms import Waveforms, nearest
@@ -57,7 +57,8 @@ def _is_for(comparison: str, channel: str, picks: Sequence[str]) -> bool:
 
 
 def group_cluster_rows(rows: Sequence[Row], **where: object) -> list[Row]:
-    """Over participants: their means of `report.erp.mean_rows` against each other, in pairs.
+    """Over participants: their means of `report.erp.mean_rows` against each other, in pairs. A participant's visits
+    are averaged first.
 
     Nothing with fewer than `FEWEST_PARTICIPANTS`, for then no cluster could be significant.
     """
@@ -82,18 +83,15 @@ def group_cluster_rows(rows: Sequence[Row], **where: object) -> list[Row]:
 
 
 def _of_participants(rows: Sequence[Row], area: str, condition: str, channel: str) -> tuple[Array, dict[str, Array]]:
-    mine = [
-        row
-        for row in rows
-        if (row["area"], row["condition"], row["channel"]) == (area, condition, channel) and row["time_ms"] >= 0
-    ]
-    times = np.array(sorted({row["time_ms"] for row in mine}))
-    waves = {}
-    for person in distinct(mine, "participant"):
-        wave = [row["mean_uv"] for row in those(mine, participant=person)]
-        if len(wave) == len(times):
-            waves[person] = np.array(wave)
-    return times, waves
+    waves: dict[str, dict[float, list[float]]] = {}
+    for row in rows:
+        if (row["area"], row["condition"], row["channel"]) == (area, condition, channel) and row["time_ms"] >= 0:
+            wave = waves.setdefault(row["participant"], {})
+            wave.setdefault(round(row["time_ms"], 3), []).append(row["mean_uv"])
+    times = sorted({time for wave in waves.values() for time in wave})
+    whole = {person: wave for person, wave in waves.items() if len(wave) == len(times)}
+    means = {person: np.array([np.mean(wave[time]) for time in times]) for person, wave in whole.items()}
+    return np.array(times), means
 
 
 def _between(one: Array, other: Array) -> list[tuple[slice, float, float]]:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from bci_app.report import (
+    AVERAGED,
     Row,
     Tables,
     distinct,
@@ -56,7 +57,7 @@ def title(tables: Tables) -> str:
 
 def summary(tables: Tables, seen: Sequence[Mapping[str, Any]]) -> list[str]:
     """The page's first sentences."""
-    lines = [_in_short(seen[0])] if len(seen) == 1 else _on_all(tables)
+    lines = [_in_short(seen[0])] if len(seen) == 1 else [*_on_all(tables), _on_visits(tables)]
     troubles = [row for row in tables.get("events", []) if row["level"] != "info"]
     n_errors = sum(row["level"] == "error" for row in troubles)
     lines.append(
@@ -92,15 +93,17 @@ def _in_short(figures: Mapping[str, Any]) -> str:
 
 
 def _on_all(tables: Tables) -> list[str]:
-    """Means over participants."""
+    """Means over participants, or over the visits of one."""
+    over = "participants" if len(distinct(tables["runs"], "participant")) > 1 else "visits"
     lines: list[str] = []
     means: Row = {}
     for name in ("table_1", "table_2"):
-        mean = [row for row in tables.get(name, []) if (row["series"], row["participant"]) == ("ours", "mean")]
+        ours = those(tables.get(name, []), series="ours")
+        mean = [row for row in ours if row["participant"] == "mean" or row["visit"] == AVERAGED]
         means |= mean[0] if mean else {}
     if (balanced := means.get("contiguous_balanced_accuracy")) is not None:
         lines.append(
-            f"In the mean over participants the decoders' verdicts are right in {percent(balanced)} of moves "
+            f"In the mean over {over} the decoders' verdicts are right in {percent(balanced)} of moves "
             "(balanced, contiguous folds)."
         )
     for name in distinct(those(tables["runs"], task="online"), "map"):
@@ -111,6 +114,19 @@ def _on_all(tables: Tables) -> list[str]:
                 f"{percent(means.get(f'{name}_accuracy'))} of verdicts right."
             )
     return lines
+
+
+def _on_visits(tables: Tables) -> str:
+    """That means are over visits, which may have been under different conditions."""
+    runs = tables["runs"]
+    people, visits = distinct(runs, "participant"), distinct(runs, "visit")
+    if all(len(distinct(those(runs, participant=person), "visit")) < 2 for person in people):
+        return ""
+    return (
+        f"There are several visits of one participant ({', '.join(map(str, visits))}). They are averaged within the "
+        "participant, and n counts participants. Where visits are conditions to be told apart, as those of a study, "
+        "make a report of each."
+    )
 
 
 def sections(tables: Tables, figures: Figures, seen: Sequence[Mapping[str, Any]]) -> list[Section]:

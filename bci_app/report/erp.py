@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from bci_app.report import Row, distinct
+from bci_app.report import AVERAGED, Row, distinct
 from bci_app.report.waveforms import Waveforms
 from decoder.calibration import Z95
 
@@ -67,13 +67,15 @@ def _rows(
 
 
 def grand_average(rows: Sequence[Row], by: Sequence[str]) -> list[Row]:
-    """Rows of `mean_rows` averaged over participants: each counts alike.
+    """Rows of `mean_rows` averaged over visits, and over participants: each counts alike.
 
-    Of several participants ``sd_uv`` is over their means, the interval is Student's, and ``n`` counts participants; one
-    participant's rows stay as they are. `by` names the columns that tell means apart, beside participant, condition,
-    channel and time. Participants without some channel or moment leave it to the others.
+    Of several participants ``sd_uv`` is over their means, the interval is Student's, and ``n`` counts participants. Of
+    one participant's visits, whose mean is ``visit`` `AVERAGED`, ``sd_uv`` is that within them, the interval normal,
+    and ``n`` counts trials; a single visit's rows stay as they are. `by` names the columns that tell means apart,
+    beside participant, condition, channel and time. Who has no such channel or moment leaves it to the others.
     """
-    if len({row["participant"] for row in rows}) < 2:
+    people = {row["participant"] for row in rows}
+    if len({(row["participant"], row["visit"]) for row in rows}) < 2:
         return list(rows)
     groups: dict[tuple[object, ...], list[Row]] = {}
     for row in rows:
@@ -81,6 +83,10 @@ def grand_average(rows: Sequence[Row], by: Sequence[str]) -> list[Row]:
         groups.setdefault(key, []).append(row)
     averaged = []
     for key, members in groups.items():
+        about = {**dict(zip(by, key, strict=False)), "condition": key[-3], "channel": key[-2]}
+        if len(people) == 1:
+            averaged.append(about | _over_visits(members))
+            continue
         mine: dict[str, list[float]] = {}
         for row in members:
             mine.setdefault(row["participant"], []).append(row["mean_uv"])
@@ -89,11 +95,28 @@ def grand_average(rows: Sequence[Row], by: Sequence[str]) -> list[Row]:
         sd = float(means.std(ddof=1)) if n > 1 else 0.0
         half = float(stats.t.ppf(0.975, n - 1)) * sd / np.sqrt(n) if n > 1 else 0.0
         averaged.append(
-            {**dict(zip(by, key, strict=False)), "participant": "all", "condition": key[-3], "channel": key[-2]}
+            {**about, "participant": "all", "visit": None}
             | {"time_ms": members[0]["time_ms"], "mean_uv": mean, "sd_uv": sd}
             | {"low_uv": mean - half, "high_uv": mean + half, "n": n}
         )
     return averaged
+
+
+def _over_visits(rows: Sequence[Row]) -> Row:
+    """One moment of one participant's visits as one."""
+    mean = float(np.mean([row["mean_uv"] for row in rows]))
+    half = float(np.linalg.norm([row["high_uv"] - row["mean_uv"] for row in rows])) / len(rows)
+    sd = None if rows[0]["sd_uv"] is None else float(np.sqrt(np.mean([row["sd_uv"] ** 2 for row in rows])))
+    return {
+        "participant": rows[0]["participant"],
+        "visit": AVERAGED,
+        "time_ms": rows[0]["time_ms"],
+        "mean_uv": mean,
+        "sd_uv": sd,
+        "low_uv": mean - half,
+        "high_uv": mean + half,
+        "n": sum(row["n"] for row in rows),
+    }
 
 
 def peak_rows(rows: Sequence[Row], **where: object) -> list[Row]:

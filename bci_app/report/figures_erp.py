@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from bci_app.report import Row, Tables, distinct, those
+from bci_app.report import AVERAGED, Row, Tables, by_person, distinct, those
 from bci_app.report.drawing import AREA_LOOKS, CONDITIONS, FEWEST_FOR_A_BAND, LOOK, Drawn
 from bci_app.report.erp import FEWEST, MAPS_MS, grand_average
 from bci_app.report.waveforms import BASELINE_MS, nearest
@@ -25,8 +25,8 @@ def potential(tables: Tables, source: str) -> Drawn | None:
     rows = _at("Fz", rows)
     if not {"error", "correct"} <= set(distinct(rows, "condition")):
         return None
-    channel, person = rows[0]["channel"], rows[0]["participant"]
-    several = person == "all"
+    channel, whose = rows[0]["channel"], _whose(rows)
+    several = whose["participant"] == "all"
     with matplotlib.rc_context(LOOK):
         figure, grid = sheet(2, 1, 4.6, sharex=True)
         upper, lower = grid[:, 0]
@@ -44,9 +44,9 @@ def potential(tables: Tables, source: str) -> Drawn | None:
         lower.plot(time, mean, label="error less correct", **CONDITIONS["difference"])
         if wave[0]["n"] >= FEWEST_FOR_A_BAND:
             lower.fill_between(time, low, high, color=BLACK, alpha=0.15, linewidth=0, label="95 % interval")
-        peaks = those(tables.get("erp_peaks", []), source=source, participant=person, channel=channel)
+        peaks = those(tables.get("erp_peaks", []), source=source, channel=channel, **whose)
         _mark(lower, peaks)
-        clusters = those(tables.get("erp_clusters", []), source=source, participant=person, channel=channel)
+        clusters = those(tables.get("erp_clusters", []), source=source, channel=channel, **whose)
         if _significant(lower, those(clusters, comparison="error - correct, all")):
             lower.plot([], [], color="0.4", linewidth=4, solid_capstyle="butt", label="differ, p < 0.05")
         for axes in (upper, lower):
@@ -56,15 +56,27 @@ def potential(tables: Tables, source: str) -> Drawn | None:
         lower.set(xlabel="time after the move (ms)", xlim=(BASELINE_MS[0], time[-1]))
         lower.margins(y=0.34)
     told = "; ".join(f"{peak['peak']}: {peak['mean_uv']:.1f} µV at {peak['time_ms']:.0f} ms" for peak in peaks)
-    whose = f"{wave[0]['n']} participants" if several else f"{wave[0]['n']} moves"
+    counted = f"{wave[0]['n']} participants" if several else f"{wave[0]['n']} moves"
     return Drawn(
         figure,
         f"Error potential at {channel}, {WHERE[source]}",
-        f"Waveforms of error and correct moves and their difference, {whose}. Peaks of the difference: {told}.",
+        f"Waveforms of error and correct moves and their difference, {counted}. Peaks of the difference: {told}.",
         f"As the paper's Fig. 9: baseline {BASELINE_MS[0]:.0f} to 0 ms, 1 to 50 Hz without delay, common average"
-        f". Dotted: one standard deviation over {'participants' if several else 'moves'}. Grey bars below: clusters in "
-        "which error and correct moves differ (permutation test, p < 0.05).",
+        f". Dotted: one standard deviation over {'participants' if several else 'moves'}. "
+        + (
+            AVERAGES
+            if whose["visit"] == AVERAGED
+            else "Grey bars below: clusters in which error and correct moves differ (permutation test, p < 0.05)."
+        ),
     )
+
+
+AVERAGES = "The participant's visits are averaged, each counting alike; tests are within each visit, in the tables."
+
+
+def _whose(rows: Sequence[Row]) -> Row:
+    """Whom rows are about, as other tables tell it: one visit, one participant's visits, or all participants."""
+    return {name: rows[0][name] for name in ("participant", "visit")}
 
 
 def _mark(axes: Axes, peaks: Sequence[Row]) -> None:
@@ -97,7 +109,7 @@ def _zero(axes: Axes) -> None:
 
 
 def head_maps(tables: Tables, source: str) -> Drawn | None:
-    """The difference wave over the head at three moments, averaged over participants."""
+    """The difference wave over the head at three moments, averaged over visits and over participants."""
     rows = those(tables.get("erp_maps", []), source=source)
     places = {canonical(name): name for name in template().ch_names}
     names = [name for name in distinct(rows, "channel") if canonical(name) in places]
@@ -105,8 +117,8 @@ def head_maps(tables: Tables, source: str) -> Drawn | None:
         return None
     values = np.array(
         [
-            [np.mean([r["difference_uv"] for r in those(rows, time_ms=t, channel=name)]) for name in names]
-            for t in MAPS_MS
+            [np.mean([r["difference_uv"] for r in by_person(those(at, channel=name), "difference_uv")]) for name in names]
+            for at in (those(rows, time_ms=moment) for moment in MAPS_MS)
         ]
     )
     most = float(np.abs(values).max()) or 1.0
@@ -149,8 +161,8 @@ def by_area(tables: Tables, source: str) -> Drawn | None:
     names = [name for name in AREA_LOOKS if {"error", "correct"} <= set(distinct(those(rows, area=name), "condition"))]
     if len(names) < 2:
         return None
-    channel, person = rows[0]["channel"], rows[0]["participant"]
-    clusters = those(tables.get("erp_clusters", []), source=source, participant=person, channel=channel)
+    channel, whose = rows[0]["channel"], _whose(rows)
+    clusters = those(tables.get("erp_clusters", []), source=source, channel=channel, **whose)
     with matplotlib.rc_context(LOOK):
         figure, grid = sheet(1, 3, 2.9, sharey=True, sharex=True)
         for axes, name in zip(grid[0], names, strict=False):
@@ -183,10 +195,11 @@ def by_area(tables: Tables, source: str) -> Drawn | None:
             handles.append(Patch(color=SHADE, label="differ, p < 0.05"))
         figure.legend(handles=handles, loc="outside lower center", ncols=5)
     sizes = {name: _size(those(rows, area=name, condition="difference")) for name in names}
-    least = {row["comparison"]: row["p"] for row in clusters}
-    p = least.get("error, central - edge")
+    p = min((row["p"] for row in those(clusters, comparison="error, central - edge")), default=None)
     told = "; ".join(f"{name} {size:.1f} µV" for name, size in sizes.items())
     tested = "not tested, for there are too few" if p is None else f"p = {p:.3f} at the least"
+    if whose["visit"] == AVERAGED:
+        tested = "tested within each visit, in the tables"
     return Drawn(
         figure,
         f"Error potential by area, {WHERE[source]}",
@@ -225,10 +238,10 @@ def in_a_row(tables: Tables) -> Drawn | None:
     if not everything:
         return None
     source = "online" if those(everything, source="online") else "calibration"
-    people = distinct(everything, "participant")
-    person = "all" if "all" in people else people[0]
-    few = 3 if person == "all" else FEWEST
-    rows = [row for row in those(everything, source=source, participant=person) if row["n"] >= few]
+    # Means over participants, or over one's visits, come after those that they are of.
+    whose = _whose(those(everything, source=source)[-1:])
+    few = 3 if whose["participant"] == "all" else FEWEST
+    rows = [row for row in those(everything, source=source, **whose) if row["n"] >= few]
     if not rows:
         return None
     with matplotlib.rc_context(LOOK):
@@ -245,7 +258,7 @@ def in_a_row(tables: Tables) -> Drawn | None:
         axes.set_xticks(level, labels)
         axes.set(xlabel="errors in a row", ylabel=f"{rows[0]['channel']}: positive less\nnegative peak (µV)")
         axes.legend(loc="best")
-    trend = those(tables.get("errors_in_a_row_trend", []), source=source, participant=person)
+    trend = those(tables.get("errors_in_a_row_trend", []), source=source, **whose)
     slope = "".join(
         f" Over the first four: {row['slope']:+.2f} µV an error [{row['low']:+.2f}, {row['high']:+.2f}], p = "
         f"{row['p']:.3f}."

@@ -183,27 +183,34 @@ def _draw_areas(axes: Axes, layout: list[str]) -> None:
 
 
 def _draw_accuracy(axes: Axes, rows: list[Row]) -> None:
-    """By participant; of a single one also of errors and of correct moves."""
-    people = distinct(rows, "participant")
-    measures = ("accuracy", "hit_rate", "correct_rejection_rate") if len(people) == 1 else ("accuracy",)
-    labels = _numbered(rows) if len(people) == 1 else people
+    """By run; of a single one also of errors and of correct moves."""
+    runs = list(dict.fromkeys((row["participant"], row["visit"], row["run"]) for row in rows))
+    measures = ("accuracy", "hit_rate", "correct_rejection_rate") if len(runs) == 1 else ("accuracy",)
+    labels = _numbered(rows) if len(runs) == 1 else _named(runs)
     for area, look in AREA_LOOKS.items():
-        places = [
-            (row, name)
-            for person in people
-            for row in those(rows, participant=person, area=area)[:1]
-            for name in measures
-        ]
-        for place, (row, name) in enumerate(places):
-            if row[name] is None:
-                continue
-            value = 100 * row[name]
-            reach = [[value - 100 * row[f"{name}_low"]], [100 * row[f"{name}_high"] - value]]
-            x = place + (-0.12 if area == "central" else 0.12)
-            axes.errorbar(x, value, yerr=reach, capsize=2, linestyle="none", **look)
+        for number, (who, visit, run) in enumerate(runs):
+            for row in those(rows, participant=who, visit=visit, run=run, area=area):
+                for place, name in enumerate(measures, number):
+                    if row[name] is None:
+                        continue
+                    value = 100 * row[name]
+                    reach = [[value - 100 * row[f"{name}_low"]], [100 * row[f"{name}_high"] - value]]
+                    x = place + (-0.12 if area == "central" else 0.12)
+                    axes.errorbar(x, value, yerr=reach, capsize=2, linestyle="none", **look)
     axes.set_xticks(range(len(labels)), labels, rotation=45 if len(labels) > 8 else 0)
     axes.axhline(50, color=GREY, linestyle=":", linewidth=1)
     axes.set(ylabel="right verdicts (%)", ylim=(None, 102), xlim=(-0.5, len(labels) - 0.5))
+
+
+def _named(runs: Sequence[tuple[str, str, str]]) -> list[str]:
+    """Runs by participant, by visit where there are several of one, and by themselves where a visit has several."""
+    visits = dict.fromkeys((who, visit) for who, visit, _ in runs)
+    return [
+        who
+        + (f" {visit}" if sum(each[0] == who for each in visits) > 1 else "")
+        + (f", {run}" if sum(each[:2] == (who, visit) for each in runs) > 1 else "")
+        for who, visit, run in runs
+    ]
 
 
 def _numbered(rows: list[Row]) -> list[str]:

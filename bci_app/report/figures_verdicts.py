@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from bci_app.report import Row, Tables, distinct, those
+from bci_app.report import Row, Tables, by_person, distinct, those
 from bci_app.report.drawing import LOOK, Drawn, looks, percent, with_interval, words
 from policy.experiment1.plotting import BLACK, BLUE, GREY, sheet
 
@@ -74,7 +74,8 @@ def _moves(rows: list[Row]) -> str:
 
 
 def _mean(rows: list[Row]) -> float | None:
-    return float(np.mean([row["value"] for row in rows])) if rows else None
+    """Of participants, each counting alike."""
+    return float(np.mean([row["value"] for row in by_person(rows, "value")])) if rows else None
 
 
 def decisions(tables: Tables) -> Drawn | None:

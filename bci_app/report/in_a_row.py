@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from bci_app.report import Row, distinct, those
+from bci_app.report import AVERAGED, Row, by_person, distinct, those
 from bci_app.report.erp import PEAKS
 from bci_app.report.online import mean_interval
 from bci_app.report.waveforms import Waveforms, nearest
@@ -72,35 +72,59 @@ def trend_row(waves: Waveforms, **where: object) -> list[Row]:
 
 
 def group_levels(rows: Sequence[Row]) -> list[Row]:
-    """Over participants: means of their means, each counting alike, with Student's interval over participants. One
-    participant's rows stay as they are."""
-    if len(distinct(list(rows), "participant")) < 2:
+    """Over participants: means of their means, each counting alike, with Student's interval over participants. Before
+    that the moves of a participant's visits are taken together. One participant's visits come as one, a single visit's
+    rows stay as they are."""
+    if len({(row["participant"], row["visit"]) for row in rows}) < 2:
         return list(rows)
+    several = len(distinct(list(rows), "participant")) > 1
     found = []
     for source in distinct(list(rows), "source"):
         for level in sorted(set(distinct(those(list(rows), source=source), "errors_in_a_row"))):
-            group = those(list(rows), source=source, errors_in_a_row=level)
+            mine = those(list(rows), source=source, errors_in_a_row=level)
+            group = [_together(those(mine, participant=person)) for person in distinct(mine, "participant")]
             found.append(
-                {"participant": "all", "source": source, "errors_in_a_row": level, "n": len(group)}
+                {"participant": "all", "visit": None, "source": source, "errors_in_a_row": level, "n": len(group)}
                 | mean_interval([row["mean"] for row in group])
                 | {"peak_to_peak": float(np.mean([row["peak_to_peak"] for row in group]))}
                 | {"channel": group[0]["channel"]}
+                if several
+                else group[0] | {"visit": AVERAGED}
             )
     return found
 
 
+def _together(rows: Sequence[Row]) -> Row:
+    """One participant's visits at one number of errors in a row as one: mean and interval of all their moves, from the
+    number, mean and spread of each; `peak_to_peak` in the mean over moves."""
+    if len(rows) == 1:
+        return rows[0]
+    n, mean, peaks = (np.array([row[name] for row in rows], dtype=float) for name in ("n", "mean", "peak_to_peak"))
+    variance = [
+        row["n"] * ((row["high"] - row["mean"]) / stats.t.ppf(0.975, row["n"] - 1)) ** 2 if row["n"] > 1 else 0.0
+        for row in rows
+    ]
+    total, middle = int(n.sum()), float(np.average(mean, weights=n))
+    squares = float(np.sum((n - 1) * variance + n * (mean - middle) ** 2))
+    half = float(stats.t.ppf(0.975, total - 1)) * (squares / (total - 1) / total) ** 0.5
+    together = {"n": total, "mean": middle, "low": middle - half, "high": middle + half}
+    return {**rows[0], **together, "peak_to_peak": float(np.average(peaks, weights=n))}
+
+
 def group_trend(rows: Sequence[Row]) -> list[Row]:
-    """Over participants: the mean of their slopes, and Student's test of it. Nothing with fewer than two."""
+    """Over participants: the mean of their slopes, and Student's test of it. A participant's visits are averaged first.
+    Nothing with fewer than two participants."""
     found = []
     for source in distinct(list(rows), "source"):
-        slopes = [row["slope"] for row in those(list(rows), source=source)]
+        slopes = [row["slope"] for row in by_person(those(list(rows), source=source), "slope")]
         if len(slopes) < 2 or not np.ptp(slopes):
             continue
         interval = mean_interval(slopes)
         values = {"slope": interval["mean"], "low": interval["low"], "high": interval["high"]}
         p = float(stats.ttest_1samp(slopes, 0).pvalue)
         found.append(
-            {"participant": "all", "source": source, **values, "p": p, "n": len(slopes), "unit": "participants"}
+            {"participant": "all", "visit": None, "source": source, **values, "p": p}
+            | {"n": len(slopes), "unit": "participants"}
         )
     return found
 

@@ -5,19 +5,22 @@ from typing import Any
 
 import numpy as np
 
-from bci_app.report import Row, distinct, published, those
+from bci_app.report import AVERAGED, Row, by_person, calibrations, distinct, published, those
+from bci_app.report.steps import judged
 from decoder.calibration import wilson
 
 PEOPLE = "Wang et al. 2022, people"
 
 
-def table_one(scores: Sequence[Row], runs: Sequence[Row]) -> list[Row]:
+def table_one(scores: Sequence[Row], runs: Sequence[Row], moves: Sequence[Row] = ()) -> list[Row]:
     """Table I: share of right verdicts, cross-validated and on each map, one row a participant and visit.
 
     Parameters
     ----------
     scores : rows of `report.calibrations.score_rows`; ``source`` is ``tenfold``, ``contiguous`` or a map's name.
     runs : rows of the runs, which tell the order of participants.
+    moves : rows of the moves. Those of a visit's several runs on a map are taken together; of its calibrations the last
+        one's scores stand here, as in `report.json`.
 
     Beside the accuracy, which flatters where one kind of move is rare, stand balanced accuracy and AUC.
     """
@@ -25,11 +28,13 @@ def table_one(scores: Sequence[Row], runs: Sequence[Row]) -> list[Row]:
     for who in _who(runs):
         row: Row = {"series": "ours", **who}
         for source in ("tenfold", "contiguous", *_maps(runs)):
+            mine = _of_several_runs(those(list(moves), **who, task="online", map=source), source)
+            mine = those(list(scores), **who, source=source) if mine is None else mine
             for measure in ("accuracy", "balanced_accuracy", "auc"):
-                found = those(list(scores), **who, source=source, measure=measure)
+                found = those(mine, measure=measure)
                 for key in ("value", "low", "high"):
                     name = f"{source}_{measure}{'' if key == 'value' else '_' + key}"
-                    row[name] = found[0][key] if len(found) == 1 else None
+                    row[name] = found[-1][key] if found else None
         rows.append(row)
     rows += _mean(rows)
     for number, person in enumerate(published.PEOPLE):
@@ -133,16 +138,28 @@ def mean_interval(values: Sequence[float]) -> dict[str, float | None]:
     return {"mean": mean, "low": mean - half, "high": mean + half}
 
 
+def _of_several_runs(moves: Sequence[Row], source: str) -> list[Row] | None:
+    """Scores of the verdicts of a visit's runs on a map, taken together; None where it is no more than one run."""
+    if len(distinct(list(moves), "run")) < 2:
+        return None
+    scored = [move for move in judged(moves) if move["log_odds"] is not None]
+    numbers = (np.array([move[name] for move in scored], dtype=np.float64) for name in ("log_odds", "evidence"))
+    found = calibrations.judged_online(*numbers, np.array([move["error"] for move in scored], dtype=bool))
+    return calibrations.score_rows(found, source) if found else []
+
+
 def _mean(rows: Sequence[Row]) -> list[Row]:
-    """The mean of each column over several participants, as in the paper's last rows; no intervals."""
+    """The mean of each column over several participants, as in the paper's last rows; no intervals. A participant's
+    visits are averaged first; with a single participant they are the mean."""
     if len(rows) < 2:
         return []
-    row: Row = {"series": "ours", "participant": "mean", "visit": None}
-    for name in dict.fromkeys(name for each in rows for name in each):
-        values = [each[name] for each in rows if isinstance(each.get(name), int | float)]
-        if values and not name.endswith(("_low", "_high")):
-            row[name] = float(np.mean(values))
-    return [row]
+    told = dict.fromkeys(name for each in rows for name in each if not name.endswith(("_low", "_high")))
+    names = [name for name in told if any(isinstance(each.get(name), int | float) for each in rows)]
+    people = by_person(rows, *names)
+    if len(people) == 1:
+        return [{"series": "ours", "visit": AVERAGED, **people[0]}]
+    (mean,) = by_person([{**person, "participant": "mean"} for person in people], *names)
+    return [{"series": "ours", "visit": None, **mean}]
 
 
 def _who(runs: Sequence[Row]) -> list[dict[str, Any]]:

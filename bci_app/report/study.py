@@ -44,7 +44,7 @@ def complete(tables: Tables) -> Tables:
     runs, episodes = tables.get("runs", []), those(tables.get("episodes", []), task="online")
     found: Tables = {name: list(rows) for name, rows in tables.items()}
     found["maps"] = [dict(items) for items in dict.fromkeys(tuple(row.items()) for row in tables.get("maps", []))]
-    found["table_1"] = online.table_one(tables.get("scores", []), runs)
+    found["table_1"] = online.table_one(tables.get("scores", []), runs, tables.get("moves", []))
     if episodes:
         found["table_2"] = online.table_two(episodes, runs)
         found["by_distance"] = online.by_distance(episodes)
@@ -52,14 +52,19 @@ def complete(tables: Tables) -> Tables:
             found[f"table_a_{name}"] = online.table_a(episodes, runs, name)
     found["area_test"] = [*tables.get("area_test", []), *areas.group_rows(tables.get("area_test", []))]
     means = tables.get("erp", [])
-    people = len(distinct(means, "participant"))
-    if people > 1:
-        found["erp_average"] = erp.grand_average(means, ("source", "area"))
-        for source in distinct(means, "source"):
-            where = {"participant": "all", "visit": None, "source": source}
-            everywhere = those(found["erp_average"], source=source, area="all")
-            found["erp_peaks"] += erp.peak_rows(everywhere, **where)
-            found["erp_clusters"] += clusters.group_cluster_rows(those(means, source=source), **where)
-        found["errors_in_a_row"] += in_a_row.group_levels(tables.get("errors_in_a_row", []))
-        found["errors_in_a_row_trend"] += in_a_row.group_trend(tables.get("errors_in_a_row_trend", []))
+    for source in distinct(means, "source"):
+        mine = those(means, source=source)
+        average = erp.grand_average(mine, ("source", "area"))
+        if average == mine:
+            continue
+        where = {"participant": average[0]["participant"], "visit": average[0]["visit"], "source": source}
+        found.setdefault("erp_average", []).extend(average)
+        found["erp_peaks"] += erp.peak_rows(those(average, area="all"), **where)
+        found["erp_clusters"] += clusters.group_cluster_rows(mine, **where)
+    levels, trends = tables.get("errors_in_a_row", []), tables.get("errors_in_a_row_trend", [])
+    for source in distinct(levels, "source"):
+        mine = those(levels, source=source)
+        average = in_a_row.group_levels(mine)
+        found["errors_in_a_row"] += average if average != mine else []
+    found["errors_in_a_row_trend"] = [*trends, *in_a_row.group_trend(trends)]
     return found
