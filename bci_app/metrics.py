@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from bci_app.one_clock import on_one_clock
 from bci_app.protocol import Action, EpisodeEnd, MoveOnset, Truth, Verdict
 from bci_app.recording import Recording
 
@@ -114,16 +115,19 @@ def latency_samples(recordings: Sequence[Recording], speed: float) -> dict[str, 
 
     `verdict`: from the arrival of the last needed sample at the decoder to the push of the verdict, as the decoder
     measured it. `action`: from the push of the verdict to the push of the action, by their stamps, so with LSL's way
-    between the two processes. `policy`: from the verdict's arrival to the push of the action, as the policy measured
+    between the two processes; none where these are stamps of two machines and the recording doesn't tell how far apart
+    their clocks are. `policy`: from the verdict's arrival to the push of the action, as the policy measured
     it. `speed` is the session's.
     """
     found: dict[str, list[float]] = {"verdict": [], "action": [], "policy": []}
     for recording in recordings:
         found["verdict"] += [v.latency_ms for _, v in recording.of(Verdict) if v.latency_ms is not None]
-        pushed = {(verdict.episode, verdict.step): stamp for stamp, verdict in recording.of(Verdict)}
-        for stamp, action in recording.of(Action):
+        placed, unknown = on_one_clock(recording)
+        comparable = not unknown & {"decoder", "policy"}
+        pushed = {(verdict.episode, verdict.step): stamp for stamp, verdict in placed.of(Verdict)}
+        for stamp, action in placed.of(Action):
             verdict_at = pushed.get((action.episode, action.step - 1))
             if verdict_at is not None:
-                found["action"].append((stamp - verdict_at) / speed * 1e3)
+                found["action"] += [(stamp - verdict_at) / speed * 1e3] if comparable else []
                 found["policy"] += [action.latency_ms] if action.latency_ms is not None else []
     return found

@@ -33,7 +33,11 @@ log = logging.getLogger(__name__)
 M = TypeVar("M", bound=Message)
 
 
-class NotOurs(SetupError):
+class NoRun(SetupError):
+    """A recording in which there is no run to look at: it never began, or is of something else."""
+
+
+class NotOurs(NoRun):
     """A whole recording of something else."""
 
 
@@ -134,8 +138,13 @@ def read_run(path: Path, allow_damage: bool) -> tuple[Recording, SessionStart, d
         check_untouched(path, sidecar)
     opening = recording.of(SessionStart)
     if not opening:
-        raise SetupError(f"{path} holds no SessionStart message: it isn't a whole run of this experiment.")
+        raise never_began(path)
     return recording, opening[0][1], sidecar
+
+
+def never_began(path: Path) -> NoRun:
+    """Why a recording without a beginning can't be used."""
+    return NoRun(f"{path} holds no SessionStart message: it isn't a whole run of this experiment.")
 
 
 def _load(path: Path) -> tuple[list[dict[str, Any]], list[str]]:
@@ -182,7 +191,8 @@ def _eeg_stream(streams: list[dict[str, Any]], path: Path, eeg_type: str) -> dic
     candidates = [s for s in streams if s["info"]["type"][0] == eeg_type and len(s["time_stamps"])]
     if len(candidates) != 1:
         listed = ", ".join(f"'{s['info']['name'][0]}' ({s['info']['type'][0]})" for s in streams) or "no stream"
-        raise SetupError(f"{path} must hold exactly one EEG stream with samples, found {len(candidates)} in: {listed}.")
+        kind = SetupError if candidates else NoRun
+        raise kind(f"{path} must hold exactly one EEG stream with samples, found {len(candidates)} in: {listed}.")
     return candidates[0]
 
 

@@ -123,9 +123,8 @@ def _on_visits(tables: Tables) -> str:
     if all(len(distinct(those(runs, participant=person), "visit")) < 2 for person in people):
         return ""
     return (
-        f"There are several visits of one participant ({', '.join(map(str, visits))}). They are averaged within the "
-        "participant, and n counts participants. Where visits are conditions to be told apart, as those of a study, "
-        "make a report of each."
+        f"Participants have several visits ({', '.join(map(str, visits))}), which means and tests average within each "
+        "participant first. Where visits are conditions to be told apart, as those of a study, make a report of each."
     )
 
 

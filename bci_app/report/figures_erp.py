@@ -117,7 +117,10 @@ def head_maps(tables: Tables, source: str) -> Drawn | None:
         return None
     values = np.array(
         [
-            [np.mean([r["difference_uv"] for r in by_person(those(at, channel=name), "difference_uv")]) for name in names]
+            [
+                np.mean([r["difference_uv"] for r in by_person(those(at, channel=name), "difference_uv")])
+                for name in names
+            ]
             for at in (those(rows, time_ms=moment) for moment in MAPS_MS)
         ]
     )

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bci_app.metrics import latency_samples
+from bci_app.one_clock import on_one_clock
 from bci_app.protocol import ACTION_CODES, Action, LateFrame, MoveOnset, Verdict
 from bci_app.recording import Recording
 from bci_app.report import Row
@@ -23,15 +24,21 @@ WHAT = {
 
 
 def samples(recording: Recording, speed: float) -> dict[str, list[float]]:
-    """Each entry's numbers, ms; `speed` is the session's. What a recording can't tell is empty."""
-    onsets = {(move.episode, move.step): stamp for stamp, move in recording.of(MoveOnset)}
-    said = {(verdict.episode, verdict.step): stamp for stamp, verdict in recording.of(Verdict)}
-    acted = {(action.episode, action.step): stamp for stamp, action in recording.of(Action)}
+    """Each entry's numbers, ms; `speed` is the session's. What a recording can't tell is empty, as what lies between
+    two machines' stamps whose clocks it doesn't compare."""
+    placed, unknown = on_one_clock(recording)
+    onsets = {(move.episode, move.step): stamp for stamp, move in placed.of(MoveOnset)}
+    said = {(verdict.episode, verdict.step): stamp for stamp, verdict in placed.of(Verdict)}
+    acted = {(action.episode, action.step): stamp for stamp, action in placed.of(Action)}
+    if unknown & {"stimulus", "decoder"}:
+        said = {}
+    if unknown & {"stimulus", "policy"}:
+        acted = {}
     # A calibration's moves aren't waited for: the stimulus chooses them.
     return latency_samples([recording], speed) | {
         "verdict after onset": [1e3 * (said[key] - onset) for key, onset in onsets.items() if key in said],
         "time left": [1e3 * (onset - acted[key]) for key, onset in onsets.items() if key in acted],
-        "marker": _markers(recording, np.array(list(onsets.values()))),
+        "marker": _markers(recording, np.array([stamp for stamp, _ in recording.of(MoveOnset)])),
         "late frame": [late.late_ms for _, late in recording.of(LateFrame)],
     }
 

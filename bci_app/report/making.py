@@ -10,7 +10,6 @@ from typing import Any
 
 from bci_app.errors import SetupError
 from bci_app.progress import Progress
-from bci_app.recording import NotOurs
 from bci_app.report import Row, Tables, contents, merged, page, sources, study, visits
 from bci_app.report.drawing import Written, write
 
@@ -22,23 +21,22 @@ def make(paths: Sequence[Path], out: Path | None, allow_damage: bool, progress: 
     ----------
     out : folder of the report; by default ``report`` beside the recordings, numbered from the second on.
 
-    Returns ``report``, the page's path, ``participants``, ``recordings``, ``left_out`` (recordings in a folder that are
-    somebody else's), ``errors`` and ``warnings`` (how many things went wrong), ``figures``, ``tables`` and ``seconds``.
+    Returns ``report``, the page's path, ``participants``, ``recordings``, ``left_out`` (why recordings in a folder
+    aren't in it: they are somebody else's, or of runs that never began), ``errors`` and ``warnings`` (how many things
+    went wrong), ``figures``, ``tables`` and ``seconds``.
     Raises SetupError for recordings that can't be used, and for a folder that isn't empty.
     """
     started = perf_counter()
     files = sources.find(paths)
     wanted = sources.visits([sources.source(path) for path in files])
     folder = _folder(out, files, wanted)
-    seen, left_out = [], []
     named = {path.absolute() for path in paths}
-    for number, visit in enumerate(wanted):
-        try:
-            seen.append(visits.see(visit, allow_damage, lambda what, n=number: progress(what, n, len(wanted) + 1)))  # type: ignore[misc]
-        except NotOurs as error:
-            if any(source.path in named for run in visit.runs for source in run):
-                raise
-            left_out.append(str(error))
+    looked = [
+        visits.see(visit, allow_damage, lambda what, n=number: progress(what, n, len(wanted) + 1), named)  # type: ignore[misc]
+        for number, visit in enumerate(wanted)
+    ]
+    seen = [each for each in looked if each.tables]
+    left_out = [sentence for each in looked for sentence in each.left_out]
     if not seen:
         raise SetupError(f"None of the {len(files)} recordings is of this experiment. {left_out[0]}")
     tables = study.complete(merged([each.tables for each in seen]))

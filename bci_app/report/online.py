@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from bci_app.report import AVERAGED, Row, by_person, calibrations, distinct, published, those
-from bci_app.report.steps import judged
 from decoder.calibration import wilson
 
 PEOPLE = "Wang et al. 2022, people"
@@ -142,9 +141,9 @@ def _of_several_runs(moves: Sequence[Row], source: str) -> list[Row] | None:
     """Scores of the verdicts of a visit's runs on a map, taken together; None where it is no more than one run."""
     if len(distinct(list(moves), "run")) < 2:
         return None
-    scored = [move for move in judged(moves) if move["log_odds"] is not None]
-    numbers = (np.array([move[name] for move in scored], dtype=np.float64) for name in ("log_odds", "evidence"))
-    found = calibrations.judged_online(*numbers, np.array([move["error"] for move in scored], dtype=bool))
+    scored = [move for move in moves if move["error"] is not None and move["log_odds"] is not None]
+    log_odds, evidence = (np.array([m[name] for m in scored], dtype=np.float64) for name in ("log_odds", "evidence"))
+    found = calibrations.judged_online(log_odds, evidence, np.array([m["error"] for m in scored], dtype=bool))
     return calibrations.score_rows(found, source) if found else []
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from bci_app.moves import electrodes
+from bci_app.one_clock import on_one_clock, sender
 from bci_app.protocol import (
     Continued,
     LateFrame,
@@ -15,6 +16,7 @@ from bci_app.protocol import (
     Pause,
     Resume,
     Returned,
+    Role,
     SessionEnd,
     Status,
     Truth,
@@ -29,10 +31,13 @@ Event = tuple[float | None, str, str, str, str]
 
 def event_rows(recording: Recording, sidecar: Mapping[str, Any], **where: object) -> list[Row]:
     """All that a reader must know, in order: notes, pauses, restarts, links that were lost, late frames, gaps, damage,
-    and how the run ended. ``time_s`` counts from the first message; None for what belongs to no moment."""
-    first = recording.messages[0].stamp if recording.messages else 0.0
+    and how the run ended. ``time_s`` counts from the first message, on bci-app's clock; None for what belongs to no
+    moment, or to one of a clock that isn't known."""
+    placed, unknown = on_one_clock(recording)
+    first = next((item.stamp for item in placed.messages if sender(item.message) not in unknown), 0.0)
+    said = sorted(((None if event[3] in unknown else event[0], *event[1:]) for event in _said(placed)), key=_moment)
     rows = []
-    for stamp, kind, level, role, text in (*_of_file(recording, sidecar), *sorted(_said(recording), key=_moment)):
+    for stamp, kind, level, role, text in (*_of_file(recording, sidecar), *_of_clocks(unknown), *said):
         time = None if stamp is None else stamp - first
         rows.append({**where, "time_s": time, "kind": kind, "level": level, "role": role, "text": text})
     return rows
@@ -63,6 +68,14 @@ def _of_file(recording: Recording, sidecar: Mapping[str, Any]) -> Iterator[Event
             "",
             f"The EEG has {len(gaps)} gaps of a second or more, {gaps[gaps > 0].sum():.1f} s together.",
         )
+
+
+def _of_clocks(unknown: frozenset[Role]) -> Iterator[Event]:
+    for role in sorted(unknown):
+        text = (
+            f"The {role} ran on another machine, and how far apart the clocks were isn't recorded: the times of what "
+        )
+        yield None, "file", "warning", "", f"{text}it said, and latencies from and to it, are left out."
 
 
 def _said(recording: Recording) -> Iterator[Event]:

@@ -1,6 +1,6 @@
 """From the recordings of one participant's session to tables: each is read once, looked at, and let go."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from bci_app.errors import SetupError
 from bci_app.joining import joined
 from bci_app.moves import Key, electrodes, judges
 from bci_app.protocol import SessionEnd, SessionStart
-from bci_app.recording import Recording, read
+from bci_app.recording import NoRun, Recording, never_began, read
 from bci_app.report import Row, Tables, areas, calibrations, clusters, erp, in_a_row, ledger, steps, trouble
 from bci_app.report.sources import Source, Visit, missing
 from bci_app.report.waveforms import Waveforms, together, waveforms
@@ -33,10 +33,12 @@ class Seen:
     tables : rows by table.
     figures : the figures that `fit`, `online` and `demo` print, by the same functions: ``calibration`` as `fit` has it,
         ``online`` by map, ``latency``.
+    left_out : why recordings aren't looked at. Without any that are, there are no tables.
     """
 
     tables: Tables = field(default_factory=dict)
     figures: dict[str, Any] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
 
     def add(self, **tables: Sequence[Row]) -> None:
         """Put rows into tables."""
@@ -44,18 +46,21 @@ class Seen:
             self.tables.setdefault(name, []).extend(rows)
 
 
-def see(visit: Visit, allow_damage: bool, progress: Callable[[str], None] = lambda _: None) -> Seen:
+def see(visit: Visit, allow_damage: bool, progress: Callable[[str], None], named: Collection[Path]) -> Seen:
     """Look at all runs of a visit.
 
-    Raises SetupError for a recording that isn't ours, that is damaged (unless `allow_damage`) or that isn't the file
-    that was recorded. What a run doesn't allow, for there is no decoder, no truth or only one kind of move, is said in
-    `events`.
+    Raises SetupError for a recording that is damaged (unless `allow_damage`) or that isn't the file that was recorded,
+    and for one that isn't ours or whose run never began if it is among those `named`; others are left out. What a run
+    doesn't allow, for there is no decoder, no truth or only one kind of move, is said in `events`.
     """
     look = _Look(visit)
     for run in visit.runs:
         progress(f"reading {run[-1].path.name}")
-        recordings = [_read(each, allow_damage or each is not run[-1]) for each in run]
-        look.at(run, recordings)
+        usable = _usable(run, allow_damage, named, look.seen.left_out)
+        if usable:
+            look.at([source for source, _ in usable], [recording for _, recording in usable])
+    if not look.seen.tables:
+        return look.seen
     progress(f"comparing waveforms of {visit.participant}")
     look.waves_together()
     look.figures_together()
@@ -70,6 +75,25 @@ def see_recordings(visit: Visit, recordings: Sequence[Sequence[Recording]]) -> S
     look.waves_together()
     look.figures_together()
     return look.seen
+
+
+def _usable(
+    run: Sequence[Source], allow_damage: bool, named: Collection[Path], left_out: list[str]
+) -> list[tuple[Source, Recording]]:
+    """The recordings of a run that hold some of it. Why others don't is left in `left_out`, or raised if they were
+    named."""
+    found: list[tuple[Source, Recording]] = []
+    for source in run:
+        try:
+            recording = _read(source, allow_damage or source is not run[-1])
+            if not recording.of(SessionStart):
+                raise never_began(source.path)
+            found.append((source, recording))
+        except NoRun as error:
+            if source.path in named:
+                raise
+            left_out.append(str(error))
+    return found
 
 
 def _read(source: Source, allow_damage: bool) -> Recording:
@@ -94,7 +118,7 @@ class _Look:
         last, sidecar = recordings[-1], run[-1].sidecar
         opening = last.of(SessionStart)
         if not opening:
-            raise SetupError(f"{last.path} holds no SessionStart message: it isn't a whole run of this experiment.")
+            raise never_began(last.path)
         task, map_name = opening[0][1].task, opening[0][1].map
         where: Row = {**self._who, "run": _name(last.path), "map": map_name}
         self._complain(where, [f"{name} comes before it and wasn't given." for name in missing(run)])
