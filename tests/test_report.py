@@ -309,6 +309,19 @@ def test_what_is_no_recording_of_ours_is_refused(study_folder: Any, tmp_path: Pa
     assert not (tmp_path / "out").exists()
 
 
+def test_a_run_that_never_began_is_left_out_of_a_folder(whole: list[Recording], tmp_path: Path) -> None:
+    good = put(tmp_path, whole[1], "online", 1)
+    false_start = put(tmp_path, without(whole[1], SessionStart), "online", 2)
+    silent = put(tmp_path, replace(whole[1], samples=whole[1].samples[:0], times=whole[1].times[:0]), "online", 3)
+    done = making.make([tmp_path], tmp_path / "out", False, nothing)
+    assert done["recordings"] == 1
+    assert all(path.name in said for path, said in zip([false_start, silent], done["left_out"], strict=True))
+    assert [row["recordings"] for row in table(done, "runs")] == [good.name]
+    for path, says in ((false_start, "holds no SessionStart"), (silent, "exactly one EEG stream with samples")):
+        with pytest.raises(SetupError, match=says):
+            making.make([tmp_path, path], tmp_path / "other", False, nothing)
+
+
 def test_a_damaged_recording_is_used_only_when_asked(whole: list[Recording], tmp_path: Path) -> None:
     path = put(tmp_path, whole[1], "online", 1)
     contents = path.read_bytes()
@@ -455,6 +468,120 @@ def test_a_study_has_means_and_tests_over_participants(made: Any) -> None:
         drawn = draw[name]()
         assert drawn is not None
         assert says in drawn.alt
+
+
+def visits_of_one(made: dict[str, Any], *visits: str) -> Tables:
+    """The made report's session as several visits of its participant, each a microvolt above the one before."""
+    names = [path.stem for path in (Path(made["report"]).parent / "tables").glob("*.json")]
+    own = {name: table(made, name) for name in names if name not in study_only(names)}
+    several = []
+    for number, visit in enumerate(visits):
+        mine = {name: [dict(row, visit=visit) for row in rows] for name, rows in own.items()}
+        for row in mine["erp"]:
+            row |= {name: row[name] + number for name in ("mean_uv", "low_uv", "high_uv")}
+        several.append(mine)
+    several[0]["maps"] = table(made, "maps")
+    return study.complete(merged(several))
+
+
+def test_two_visits_of_one_participant_are_drawn_as_their_mean(made: Any) -> None:
+    tables = visits_of_one(made, "S001", "S002")
+    draw = dict(contents.drawings(tables))
+    for name in ("erp_online", "erp_areas", "erp_errors_in_a_row"):
+        drawn = draw[name]()
+        assert drawn is not None
+        curves = [
+            line.get_xdata()
+            for axes in drawn.figure.axes
+            for line in axes.lines
+            if line.get_marker() != "None" or len(line.get_xdata()) > 2
+        ]
+        assert curves
+        assert all((np.diff(np.asarray(curve, dtype=float)) > 0).all() for curve in curves), name
+    where = {"source": "online", "area": "all", "condition": "error", "channel": "Fz"}
+    first, both = those(table(made, "erp"), **where)[50], those(tables["erp_average"], **where, visit="mean")[50]
+    assert both["mean_uv"] == pytest.approx(first["mean_uv"] + 0.5)
+    assert both["high_uv"] - both["mean_uv"] == pytest.approx((first["high_uv"] - first["mean_uv"]) / 2**0.5)
+    assert (both["participant"], both["n"]) == ("P001", 2 * first["n"])
+    assert those(tables["erp_peaks"], source="online", visit="mean")
+    where = {"source": "online", "errors_in_a_row": 1}
+    (one,), (two,) = (
+        those(table(made, "errors_in_a_row"), **where),
+        those(tables["errors_in_a_row"], **where, visit="mean"),
+    )
+    assert two["mean"] == pytest.approx(one["mean"])
+    assert two["n"] == 2 * one["n"]
+    assert two["high"] - two["low"] < one["high"] - one["low"]
+    sentences = " ".join(contents.summary(tables, [{}, {}]))
+    assert "In the mean over visits" in sentences
+    assert "Participants have several visits (S001, S002)" in sentences
+
+
+def test_the_p_told_of_the_areas_is_the_least(made: Any) -> None:
+    tables = visits_of_one(made, "S001")
+    about = next(row for row in tables["erp_clusters"] if row["source"] == "online" and row["channel"] == "FCz")
+    found = {**about, "comparison": "error, central - edge", "begin_ms": 200.0, "end_ms": 300.0}
+    tables["erp_clusters"] = [{**found, "p": 0.003}, {**found, "p": 0.041}]
+    drawn = dict(contents.drawings(tables))["erp_areas"]()
+    assert drawn is not None
+    assert "p = 0.003 at the least" in drawn.alt
+
+
+def test_two_runs_on_a_map_are_taken_together_in_table_one(whole: list[Recording]) -> None:
+    again = recording(Wish("online", "open", 4, 12, 0.3, 7))
+    again = replace(again, path=Path("again.xdf"))
+    tables = tables_of(whole[1], again)
+    (one,) = those(tables["table_1"], series="ours")
+    told = metrics.online([whole[1], again])
+    assert one["open_accuracy"] == pytest.approx(told["verdict_accuracy"])
+    assert one["open_balanced_accuracy"] == pytest.approx(told["verdict_balanced_accuracy"])
+    (single,) = those(tables_of(whole[1])["table_1"], series="ours")
+    assert one["open_auc_high"] - one["open_auc_low"] < single["open_auc_high"] - single["open_auc_low"]
+
+
+def test_of_two_calibrations_the_last_one_s_scores_are_in_table_one(whole: list[Recording]) -> None:
+    again = replace(recording(Wish(seed=8)), path=Path("by-hand-again.xdf"))
+    tables = tables_of(whole[0], again)
+    (one,) = those(tables["table_1"], series="ours")
+    (alone,) = those(tables_of(again)["table_1"], series="ours")
+    assert one["contiguous_balanced_accuracy"] == alone["contiguous_balanced_accuracy"]
+    assert "the figures of the whole visit are the last one's" in said(tables)
+
+
+def elsewhere(whole: Recording, apart: float, *, is_told: bool) -> Recording:
+    """As if the decoder had run on another machine, its clock so many seconds ahead and drifting."""
+    messages = []
+    for item in whole.messages:
+        is_theirs = isinstance(item.message, Verdict | Electrodes)
+        ahead = apart + 1e-4 * item.stamp
+        messages.append(Stamped(item.stamp + ahead, item.message) if is_theirs else item)
+        if is_told and isinstance(item.message, EpisodeGoal | SessionEnd):
+            link = Link(session="by-hand", role="session", stream="bci-verdicts", age_s=0.0, offset_s=-ahead)
+            messages.append(Stamped(item.stamp, link))
+    late = Note(role="decoder", level="warning", text="The EEG drifts.", session="by-hand")
+    messages.append(Stamped(100.0 + apart + 1e-2, late))
+    hosts = {"session": "leads", "stimulus": "leads", "policy": "leads", "decoder": "decodes"}
+    return replace(whole, messages=tuple(sorted(messages, key=lambda item: item.stamp)), hosts=hosts)
+
+
+@pytest.mark.parametrize("apart", [-5000.0, 80_000.0])
+def test_stamps_of_two_machines_are_compared_on_one_clock(whole: list[Recording], apart: float) -> None:
+    tables = tables_of(elsewhere(whole[1], apart, is_told=True))
+    for what in ("action", "verdict after onset"):
+        (here,), (there,) = (those(each["latency"], what=what) for each in (tables_of(whole[1]), tables))
+        assert there["n"] == here["n"]
+        assert there["p50_ms"] == pytest.approx(here["p50_ms"], abs=0.1)
+    (note,) = those(tables["events"], kind="note")
+    assert note["time_s"] == pytest.approx(100.0 - whole[1].messages[0].stamp, abs=0.01)
+
+
+def test_stamps_of_two_clocks_that_nobody_compared_aren_t_subtracted(whole: list[Recording]) -> None:
+    run = elsewhere(whole[1], -5000.0, is_told=False)
+    tables = tables_of(run)
+    assert {row["what"] for row in tables["latency"]} == {"verdict", "time left", "marker"}
+    assert metrics.latencies([run], 1.0)["action_p50_ms"] is None
+    assert those(tables["events"], kind="note")[0]["time_s"] is None
+    assert "The decoder ran on another machine, and how far apart the clocks were isn't recorded" in said(tables)
 
 
 def study_only(names: list[str]) -> set[str]:

@@ -13,7 +13,7 @@ from bci_app.config import Config
 from bci_app.gridworld import load_map
 from bci_app.moves import electrodes, judges
 from bci_app.recording import Recording
-from bci_app.report import areas, calibrations, erp, in_a_row, steps, those
+from bci_app.report import areas, calibrations, clusters, erp, in_a_row, online, steps, those
 from bci_app.report.waveforms import Waveforms, nearest, together, waveforms
 from decoder.calibration import auc, score
 from decoder.judge import judge_without
@@ -177,3 +177,67 @@ def test_areas_that_differ_are_found_to_differ() -> None:
 
 def _said(error: bool, right: bool) -> str:
     return "error" if error == right else "correct"
+
+
+def test_two_visits_of_six_people_are_six_people() -> None:
+    """The least p of six pairs is 2 / 2 ** 6."""
+    who = [{"participant": f"P{n}", "visit": visit} for n in range(6) for visit in ("A", "B")]
+    rng = np.random.default_rng(0)
+    values = rng.normal(1.0, 0.1, len(who))
+    of_person = values.reshape(6, 2).mean(axis=1)
+
+    rows = [
+        {**each, "run": "1", "map": "open", "central": v, "edge": 0.0, "difference": v}
+        for each, v in zip(who, values.tolist(), strict=True)
+    ]
+    (found,) = areas.group_rows(rows)
+    assert (found["n"], found["p"]) == (6, pytest.approx(1 / 32))
+    assert found["difference"] == pytest.approx(of_person.mean())
+    half = 2.570582 * of_person.std(ddof=1) / 6**0.5
+    assert found["high"] - found["difference"] == pytest.approx(half, rel=1e-5)
+
+    rows = [{**each, "source": "online", "slope": v} for each, v in zip(who, values.tolist(), strict=True)]
+    (trend,) = in_a_row.group_trend(rows)
+    assert (trend["n"], trend["slope"]) == (6, pytest.approx(of_person.mean()))
+
+    level = {"source": "online", "errors_in_a_row": 1, "n": 9, "peak_to_peak": 1.0, "channel": "Fz"}
+    rows = [{**e, **level, "mean": v, "low": v - 1, "high": v + 1} for e, v in zip(who, values.tolist(), strict=True)]
+    (mean,) = in_a_row.group_levels(rows)
+    assert (mean["n"], mean["mean"]) == (6, pytest.approx(of_person.mean()))
+
+    about = {"source": "online", "area": "all", "condition": "difference", "channel": "Fz"}
+    rows = [
+        {**e, **about, "time_ms": float(t), "mean_uv": v + 0.01 * t}
+        for e, v in zip(who, values.tolist(), strict=True)
+        for t in range(0, 40, 4)
+    ]
+    (cluster,) = clusters.group_cluster_rows(rows)
+    assert cluster["n"] == 6
+    assert cluster["p"] >= 1 / 32
+
+
+def test_who_comes_more_often_weighs_no_more_in_the_paper_s_tables() -> None:
+    visits = [("P1", "A", 1.0), ("P2", "A", 0.5), ("P2", "B", 0.6), ("P2", "C", 0.7)]
+    runs = [{"participant": who, "visit": visit, "task": "online", "map": "open"} for who, visit, _ in visits]
+    scores = [
+        {"participant": who, "visit": visit, "source": "open", "measure": "accuracy", "value": v, "low": v, "high": v}
+        for who, visit, v in visits
+    ]
+    mean = those(those(online.table_one(scores, runs), series="ours"), participant="mean")
+    assert mean[0]["open_accuracy"] == pytest.approx((1.0 + 0.6) / 2)
+    alone = [row for row in online.table_one(scores[1:], runs[1:]) if row["visit"] == "mean"]
+    assert (alone[0]["participant"], alone[0]["open_accuracy"]) == ("P2", pytest.approx(0.6))
+
+
+def test_the_moves_of_several_visits_are_as_one_mean() -> None:
+    """Mean and interval of all moves follow from those of each visit."""
+    one, other = (np.random.default_rng(seed).normal(5, 2, n) for seed, n in ((0, 30), (1, 1)))
+    about = {"participant": "P", "source": "online", "errors_in_a_row": 2, "peak_to_peak": 1.0, "channel": "Fz"}
+    rows = [
+        {**about, "visit": visit, "n": len(values), **online.mean_interval(values.tolist())}
+        for visit, values in (("A", one), ("B", other))
+    ]
+    (found,) = in_a_row.group_levels(rows)
+    expected = online.mean_interval([*one, *other])
+    assert {name: found[name] for name in expected} == pytest.approx(expected)
+    assert (found["visit"], found["n"]) == ("mean", 31)
