@@ -118,12 +118,14 @@ def _on_all(tables: Tables) -> list[str]:
 
 def _on_visits(tables: Tables) -> str:
     """That means are over visits, which may have been under different conditions."""
-    runs = tables["runs"]
-    people, visits = distinct(runs, "participant"), distinct(runs, "visit")
-    if all(len(distinct(those(runs, participant=person), "visit")) < 2 for person in people):
+    visits: dict[tuple[str, str], dict[str, None]] = {}
+    for row in tables["runs"]:
+        visits.setdefault((row["participant"], row["task"]), {})[row["visit"]] = None
+    several = dict.fromkeys(visit for each in visits.values() if len(each) > 1 for visit in each)
+    if not several:
         return ""
     return (
-        f"Participants have several visits ({', '.join(map(str, visits))}), which means and tests average within each "
+        f"Participants have several visits ({', '.join(several)}), which means and tests average within each "
         "participant first. Where visits are conditions to be told apart, as those of a study, make a report of each."
     )
 
