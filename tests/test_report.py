@@ -21,6 +21,7 @@ from bci_app.cli import app
 from bci_app.config import Config
 from bci_app.errors import SetupError
 from bci_app.protocol import (
+    STREAMS,
     Continued,
     Electrodes,
     EpisodeEnd,
@@ -36,7 +37,7 @@ from bci_app.protocol import (
     Truth,
     Verdict,
 )
-from bci_app.recording import Recording, Stamped, read
+from bci_app.recording import Recording, SenderClock, Stamped, read
 from bci_app.report import Tables, contents, making, merged, study, those
 from bci_app.report.sources import Source, Visit, free_folder, missing, visits
 from bci_app.report.visits import see_recordings
@@ -548,25 +549,32 @@ def test_of_two_calibrations_the_last_one_s_scores_are_in_table_one(whole: list[
     assert "the figures of the whole visit are the last one's" in said(tables)
 
 
-def elsewhere(whole: Recording, apart: float, *, is_told: bool) -> Recording:
+def elsewhere(whole: Recording, apart: float, *, host: str = "decodes", is_told: bool = True) -> Recording:
     """As if the decoder had run on another machine, its clock so many seconds ahead and drifting."""
-    messages = []
-    for item in whole.messages:
-        is_theirs = isinstance(item.message, Verdict | Electrodes)
-        ahead = apart + 1e-4 * item.stamp
-        messages.append(Stamped(item.stamp + ahead, item.message) if is_theirs else item)
-        if is_told and isinstance(item.message, EpisodeGoal | SessionEnd):
-            link = Link(session="by-hand", role="session", stream="bci-verdicts", age_s=0.0, offset_s=-ahead)
-            messages.append(Stamped(item.stamp, link))
-    late = Note(role="decoder", level="warning", text="The EEG drifts.", session="by-hand")
-    messages.append(Stamped(100.0 + apart + 1e-2, late))
-    hosts = {"session": "leads", "stimulus": "leads", "policy": "leads", "decoder": "decodes"}
-    return replace(whole, messages=tuple(sorted(messages, key=lambda item: item.stamp)), hosts=hosts)
+
+    def ahead(stamp: float) -> float:
+        return apart + 1e-4 * stamp
+
+    said = [
+        Stamped(item.stamp + ahead(item.stamp), item.message)
+        if isinstance(item.message, Verdict | Electrodes)
+        else item
+        for item in whole.messages
+    ]
+    note = Note(role="decoder", level="warning", text="The EEG drifts.", session="by-hand")
+    said.append(Stamped(100.0 + ahead(100.0), note))
+    measured = np.arange(0, whole.messages[-1].stamp + 5, 5.0)
+    times, offsets = (measured + ahead(measured)).tolist(), (-ahead(measured)).tolist()
+    theirs = SenderClock(host, tuple(times), tuple(offsets)) if is_told else SenderClock(host)
+    ours = SenderClock("leads", tuple(measured.tolist()), (0.0,) * len(measured)) if is_told else SenderClock("leads")
+    clocks = {spec.name: theirs if spec.role == "decoder" else ours for spec in STREAMS}
+    return replace(whole, messages=tuple(sorted(said, key=lambda item: item.stamp)), clocks=clocks)
 
 
-@pytest.mark.parametrize("apart", [-5000.0, 80_000.0])
-def test_stamps_of_two_machines_are_compared_on_one_clock(whole: list[Recording], apart: float) -> None:
-    tables = tables_of(elsewhere(whole[1], apart, is_told=True))
+@pytest.mark.parametrize(("apart", "host"), [(-5000.0, "decodes"), (80_000.0, "leads"), (0.001, "decodes")])
+def test_stamps_of_two_machines_are_compared_on_one_clock(whole: list[Recording], apart: float, host: str) -> None:
+    """Two machines may have the same name."""
+    tables = tables_of(elsewhere(whole[1], apart, host=host))
     for what in ("action", "verdict after onset"):
         (here,), (there,) = (those(each["latency"], what=what) for each in (tables_of(whole[1]), tables))
         assert there["n"] == here["n"]

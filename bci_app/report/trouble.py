@@ -31,8 +31,8 @@ Event = tuple[float | None, str, str, str, str]
 
 def event_rows(recording: Recording, sidecar: Mapping[str, Any], **where: object) -> list[Row]:
     """All that a reader must know, in order: notes, pauses, restarts, links that were lost, late frames, gaps, damage,
-    and how the run ended. ``time_s`` counts from the first message, on bci-app's clock; None for what belongs to no
-    moment, or to one of a clock that isn't known."""
+    and how the run ended. ``time_s`` counts from the first message, on the recorder's clock; None for what belongs to
+    no moment, or to one of a clock that isn't known."""
     placed, unknown = on_one_clock(recording)
     first = next((item.stamp for item in placed.messages if sender(item.message) not in unknown), 0.0)
     said = sorted(((None if event[3] in unknown else event[0], *event[1:]) for event in _said(placed)), key=_moment)
