@@ -4,23 +4,11 @@ from bisect import bisect_left
 
 import numpy as np
 
-from bci_app.protocol import STREAMS, Electrodes, Message, MoveOnset, Note, Role
+from bci_app.protocol import STREAMS, MoveOnset, Role
 from bci_app.recording import Recording, SenderClock
 
 _STREAM = {spec.role: spec.name for spec in reversed(STREAMS) if spec.string}
 """On which stream each role speaks: the first of it."""
-
-
-def sender(message: Message) -> Role:
-    """Whose clock stamped an event."""
-    match message:
-        case Electrodes():
-            return "decoder"
-        case Note(role="console"):
-            return "session"  # it passes the console's on
-        case Note():
-            return message.role
-    return "stimulus"
 
 
 class Clocks:

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from bci_app.bids.clocks import Clocks, sender
+from bci_app.bids.clocks import Clocks
 from bci_app.bids.columns import hed
 from bci_app.bids.grid import Gap, gaps, rows
 from bci_app.moves import Key, electrodes
+from bci_app.one_clock import sender
 from bci_app.protocol import (
     Action,
     BlockEnd,
