@@ -99,6 +99,8 @@ def arguments(plan: Plan, role: Role, session: str, clock: Clock) -> list[str]:
             if stopped := plan.goes_on:
                 words += ["--from-block", str(stopped.block), "--moves-done", str(stopped.moves_done)]
                 words += ["--from-episode", str(stopped.episode)]
+        case "amplifier":
+            words += ["--task", plan.task, "--map", plan.map]
         case "decoder" if plan.model is not None:
             words += ["--model", str(plan.model)]
         case "policy":

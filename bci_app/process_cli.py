@@ -138,6 +138,8 @@ def policy(
 
 def amplifier(
     session: SessionOption,
+    task: Annotated[str | None, typer.Option("--task", help="calibration or online; else by what is heard.")] = None,
+    map_name: Annotated[str | None, typer.Option("--map", help="Of the run; with --task.")] = None,
     config: ConfigOption = None,
     speed: SpeedOption = 1.0,
     origin: OriginOption = None,
@@ -146,4 +148,8 @@ def amplifier(
     """Play a simulated participant's EEG that reacts to the truth of each move."""
     from decoder import amplifier as process
 
-    process.run(_prepare(config), session, session_clock(speed, origin), parent)
+    settings, clock = _prepare(config), session_clock(speed, origin)
+    if (task is None) != (map_name is None) or task not in (None, "calibration", "online"):
+        raise SetupError(f"--task must be calibration or online, and come with --map; found {task} and {map_name}.")
+    layout = load_map(map_name).layout() if map_name else ()
+    process.run(settings, session, clock, parent, task, layout)  # type: ignore[arg-type]

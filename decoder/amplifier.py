@@ -1,6 +1,8 @@
 """The amplifier process of a simulation: plays a participant's EEG over LSL and listens to nothing but the truth."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -37,11 +39,25 @@ LOOK_EVERY = 10
 """Rounds between two looks for the stimulus's streams, while they are not found: a look takes time from the play."""
 
 
-def run(config: Config, session: str, clock: Clock, parent: int | None = None) -> None:
-    """Play until the session ends. Samples carry the session time of their acquisition, whenever they are sent."""
+def run(
+    config: Config,
+    session: str,
+    clock: Clock,
+    parent: int | None = None,
+    task: Literal["calibration", "online"] | None = None,
+    layout: Sequence[str] = (),
+) -> None:
+    """Play until the session ends. Samples carry the session time of their acquisition, whenever they are sent.
+
+    Parameters
+    ----------
+    task, layout : of the run, as in its `SessionStart`, for one that is started when that was said long ago.
+    """
     peer = Peer(AMPLIFIER_NOTES, "amplifier", session, clock, parent)
     peer.say("waiting", "for the participant to wake up")
     player = _Player(config, peer)
+    if task is not None:
+        player.attention.open(task, layout)
     while not player.ended:
         peer.say("ready" if player.listening else "waiting", "playing EEG")
         player.connect()
@@ -76,7 +92,7 @@ class _Player:
                 f"simulation.dead names channels that this participant hasn't got: {', '.join(missing)}. It has "
                 f"{', '.join(names)}."
             )
-        self._attention = Attention(config.simulation)
+        self.attention = Attention(config.simulation)
         # Of moves of which the other isn't known yet.
         self._truths: dict[tuple[int, int], tuple[float, Truth]] = {}
         self._positions: dict[tuple[int, int], Position] = {}
@@ -128,7 +144,7 @@ class _Player:
             if isinstance(item.message, Truth) and not is_again:
                 self._last_truth = item.stamp, item.message
                 self._photodiode.jump(item.stamp)
-                if self._attention.is_even:
+                if self.attention.is_even:
                     self._respond(item.stamp, item.message, 1.0)
                 else:
                     self._truths[item.message.episode, item.message.step] = item.stamp, item.message
@@ -137,13 +153,13 @@ class _Player:
             match item.message:
                 case SessionStart() as opening:
                     self._began = local_clock()
-                    self._attention.open(opening)
-                case MoveOnset() as move if not self._attention.is_even:
+                    self.attention.open(opening.task, opening.layout)
+                case MoveOnset() as move if not self.attention.is_even:
                     self._positions[move.episode, move.step] = move.position
         # The two streams may bring a move's truth and where it led in either order.
         for key in sorted(self._truths.keys() & self._positions.keys()):
             stamp, truth = self._truths.pop(key)
-            self._respond(stamp, truth, self._attention.size(truth, self._positions.pop(key)))
+            self._respond(stamp, truth, self.attention.size(truth, self._positions.pop(key)))
 
     def _respond(self, onset: float, truth: Truth, size: float) -> None:
         if not self._participant.respond(onset, truth.error, size):

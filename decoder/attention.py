@@ -1,8 +1,11 @@
 """How a simulated participant's ErrP changes within a run: smaller at the edge, after errors in a row, and online."""
 
+from collections.abc import Sequence
+from typing import Literal
+
 from bci_app.config import SimulationConfig
 from bci_app.gridworld import area_of
-from bci_app.protocol import Position, SessionStart, Truth
+from bci_app.protocol import Position, Truth
 
 LAST_TO_SHRINK = 4
 """Errors in a row over which the ErrP shrinks (paper V.C.4: "the peak decreased in the first four sequences")."""
@@ -29,10 +32,10 @@ class Attention:
         config = self._config
         return (config.errp_at_edge, config.errp_habituation, config.errp_online) == (1.0, 0.0, 1.0)
 
-    def open(self, opening: SessionStart) -> None:
-        """A run begins: on which map, and whether online."""
-        self._shape = len(opening.layout), len(opening.layout[0])
-        self._online = self._config.errp_online if self._as_online or opening.task == "online" else 1.0
+    def open(self, task: Literal["calibration", "online"], layout: Sequence[str]) -> None:
+        """A run begins: whether online, and on which map (`SessionStart.layout`)."""
+        self._shape = len(layout), len(layout[0])
+        self._online = self._config.errp_online if self._as_online or task == "online" else 1.0
 
     def size(self, truth: Truth, position: Position) -> float:
         """The size at a move that led to a position, in order of the moves."""

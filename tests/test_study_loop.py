@@ -98,7 +98,7 @@ def test_attention_fades_at_the_edge_after_errors_and_online() -> None:
     layout = tuple("." * 11 for _ in range(11))
     opening = SessionStart(session="s", task="online", participant="P1", map="open", layout=layout, n_episodes=1)
     attention = Attention(config)
-    attention.open(opening)
+    attention.open(opening.task, opening.layout)
     truth = Truth(session="s", episode=0, step=1, error=True, distance=3)
     sizes = [attention.size(truth, (5, 5)) for _ in range(6)]
     assert sizes == pytest.approx([0.9, 0.72, 0.54, 0.36, 0.36, 0.36])

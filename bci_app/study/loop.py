@@ -227,7 +227,7 @@ class Loop:
                 case SessionStart() as opening:
                     self._since = item.stamp - RECORDED_S
                     if self.attention is not None:
-                        self.attention.open(opening)
+                        self.attention.open(opening.task, opening.layout)
                 case EpisodeStart() as start:
                     self._look((start.episode, 0), item.stamp)
                     if self.navigator is not None:
