@@ -32,6 +32,8 @@ from bci_app.protocol import (
 Place = tuple[int, float]
 """(episode, step): how far a run was when something was said; an episode's end lies behind all of its steps."""
 T = TypeVar("T")
+_ONCE = (EpisodeStart, EpisodeGoal, MoveOnset, Truth, Verdict)
+"""Said once of an episode or of a move: of two the first counts."""
 _OUTLINE = (SessionStart, BlockStart, BlockEnd, EpisodeStart, EpisodeEnd, Pause, Resume)
 """How far a run has come."""
 
@@ -65,7 +67,7 @@ def without_void(items: Iterable[T], message_of: Callable[[T], Message]) -> list
     """Those that count, of all in the order in which they were said.
 
     Where a decoder was started again there may be two verdicts on a move: the first counts, for the policy acted on it.
-    A stimulus that was started again tells the last truth once more.
+    A stimulus that was started again says its last words once more.
     """
     kept: list[T] = []
     known: set[tuple[type[Message], Place]] = set()
@@ -74,9 +76,9 @@ def without_void(items: Iterable[T], message_of: Callable[[T], Message]) -> list
         if isinstance(message, Continued):
             kept = [before for before in kept if not is_void(message_of(before), message)]
             known = {each for each in known if each[1] <= place_after(message)}
-        elif isinstance(message, Verdict | Truth | EpisodeGoal):
+        elif isinstance(message, _ONCE):
             place = place_of(message)
-            assert place is not None, "all three have one"
+            assert place is not None, "all of these have one"
             if (type(message), place) in known:
                 continue
             known.add((type(message), place))
@@ -96,12 +98,18 @@ class Memory:
         """Keep a message, if a process might have to know it again."""
         if isinstance(message, Continued):
             self._said = [said for said in self._said if not is_void(said.message, message)]
+        elif isinstance(message, EpisodeStart | MoveOnset) and self._has(message):
+            return  # said once more, by a stimulus that was started again
         elif isinstance(message, Tellable):
             self._said.append(Said(stamp=stamp, message=message))
             if isinstance(message, SessionStart):
                 self._is_online = message.task == "online"
             elif isinstance(message, EpisodeStart) and self._is_online:
                 self._forget_before(message.episode - 1)
+
+    def _has(self, message: EpisodeStart | MoveOnset) -> bool:
+        place = place_of(message)
+        return any(type(said.message) is type(message) and place_of(said.message) == place for said in self._said[::-1])
 
     def _forget_before(self, episode: int) -> None:
         """Of online episodes that are long over nobody must know more than that they were: a run may last all day.

@@ -123,6 +123,7 @@ class _Server:
         self._judges: dict[MoveKey, Judge] = {}
         self._buffer: EpochBuffer[MoveKey] = EpochBuffer(judge.shape, n_channels, config.eeg.buffer_s)
         self._offsets: dict[MoveKey, float] = {}
+        self._onsets: dict[MoveKey, float] = {}  # of the last move
         description, settings = eeg.description, config.eeg
         # The rest of an epoch's samples come until its next move.
         until_move = config.stimulus.rest_s + config.stimulus.countdown_s
@@ -239,6 +240,8 @@ class _Server:
             self._answer(arrived)
 
     def _begin(self, episode: int) -> None:
+        if self._electrodes is not None and self._electrodes.episode >= episode:
+            return  # said once more, by a stimulus that was started again
         self._buffer.done_with(lambda key: key[0] < episode - 1)
         self._examine((episode, 0))
 
@@ -266,9 +269,12 @@ class _Server:
 
     def _expect(self, key: MoveKey, onset: float, offset: float) -> None:
         if not self._buffer.expect(key, onset + offset):
+            if self._onsets.get(key) == onset:
+                return  # said once more, by a stimulus that was started again
             self._peer.note("warning", f"Episode {key[0]}, step {key[1]} was announced twice; the first counts.")
             return
         self._offsets[key], self._judges[key] = offset, self._judge
+        self._onsets = {key: onset}
 
     def _forget_void(self, continued: Continued) -> None:
         """Moves that the stimulus, started again, doesn't remember come once more."""

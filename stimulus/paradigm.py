@@ -51,7 +51,7 @@ class Paradigm:
         self._lead_in = LeadIn(times, world, guide, plan.seed, plan.eye_movements_s)
         self._pause: Pause | None = None  # the last
         self._has_returned = False  # and not gone on yet
-        self._last_told: tuple[Outgoing, ...] = ()
+        self._last_said: tuple[Outgoing, ...] = ()
         self._pause_to_come: Pause | None = None
         self._paused_in = Phase.READY
         self._closing = "end"
@@ -256,7 +256,7 @@ class Paradigm:
         if self._has_returned:  # once more: by now everybody hears it
             self._has_returned = False
             self.tell_where(now)
-            self._outbox.again(self._last_told)
+            self._outbox.again(self._last_said)
         self._outbox.put(Resume(session=self.session), now)
         match self._paused_in:
             case Phase.PAGE | Phase.PRACTICE | Phase.EYES:
@@ -287,7 +287,7 @@ class Paradigm:
             return
         reason = "The stimulus was started again."
         self._pause = Pause(session=self.session, reason=reason, by_person=found.by_person)
-        self._has_returned, self._last_told = True, found.last_told
+        self._has_returned, self._last_said = True, found.last_said
         self.tell_where(now)
         self._outbox.put(self._pause, now)
 

@@ -10,9 +10,9 @@ from bci_app.protocol import Message
 
 @dataclass(frozen=True)
 class Outgoing:
-    """A message to send, on which stream, with which stamp (session seconds); of one for `marker` only its code."""
+    """A message to send, on which stream, with which stamp (session seconds)."""
 
-    stream: Literal["stimulus", "truth", "marker"]
+    stream: Literal["stimulus", "truth"]
     message: Message
     stamp: float
 

@@ -173,10 +173,10 @@ class _Shell:
             if out.stream == "truth":
                 self._truth.push(out.message, out.stamp)
         for out in messages:
-            code = marker_code(out.message) if out.stream != "truth" else None
-            if code is not None:
-                self._markers.push(code, out.stamp)
-            if out.stream == "stimulus":
+            if out.stream != "truth":
+                code = marker_code(out.message)
+                if code is not None:
+                    self._markers.push(code, out.stamp)
                 self._peer.push(out.message, out.stamp)
         self._tell_news()
         if self._screen_note and self._paradigm.waiting_for != "start":  # only now it is recorded

@@ -33,15 +33,15 @@ class Recollection:
     paused_in : where it goes on: PAGE is its very beginning, instructions and all.
     by_person : whether a person had paused it.
     last_stamp : of the stimulus's own messages.
-    last_told : what goes with its last messages on other streams, the goal of the last episode and the truth and the
-        marker of the last move: who died at once may have sent only half of it.
+    last_said : of the episode under way, its start and its last move with goal and truth: who died at once may have
+        sent only half of it, or not to all.
     """
 
     phase: Phase = Phase.READY
     paused_in: Phase = Phase.READY
     by_person: bool = False
     last_stamp: float = float("-inf")
-    last_told: tuple[Outgoing, ...] = ()
+    last_said: tuple[Outgoing, ...] = ()
 
 
 def relive(course: Course, said: Iterable[Said]) -> Recollection:
@@ -63,17 +63,18 @@ def relive(course: Course, said: Iterable[Said]) -> Recollection:
             case EpisodeStart() as start:
                 found.paused_in = Phase.REST
                 course.remember_start(start)
-                found.last_told = (Outgoing("truth", course.walk.start_messages()[1], item.stamp),)
+                goal = Outgoing("truth", course.walk.start_messages()[1], item.stamp)
+                found.last_said = goal, Outgoing("stimulus", start, item.stamp)
             case MoveOnset() as onset:
                 course.remember_move(onset)
                 truth = Outgoing("truth", course.walk.move_messages()[1], item.stamp)
-                found.last_told = (found.last_told[0], truth, Outgoing("marker", onset, item.stamp))
+                found.last_said = *found.last_said[:2], truth, Outgoing("stimulus", onset, item.stamp)
             case Verdict() as verdict:
                 course.judged(verdict)
             case Action() as action:
                 actions[action.episode, action.step] = action
             case EpisodeEnd():
-                course.running = False
+                course.running, found.last_said = False, ()
             case BlockEnd() as block:
                 course.block, found.paused_in = block.block + 1, Phase.BREAK
             case Pause() as pause:

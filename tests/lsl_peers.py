@@ -131,11 +131,11 @@ class ForeignStimulus:
             wait(every_s)
         return onsets
 
-    def move(self, step: int) -> float:
-        """One move to the right; its onset."""
-        onset = float(pylsl.local_clock())
+    def move(self, step: int, onset: float | None = None, episode: int = 0) -> float:
+        """One move to the right, now or said once more; its onset."""
+        onset = float(pylsl.local_clock()) if onset is None else onset
         where = {"position": [5, step], "sensed": [False] * 5}
-        self.say("MoveOnset", onset, episode=0, step=step, action="east", **where)
+        self.say("MoveOnset", onset, episode=episode, step=step, action="east", **where)
         return onset
 
     def raw(self, text: str) -> None:

@@ -223,7 +223,7 @@ def test_an_amplifier_that_comes_back_costs_the_moves_it_missed_and_no_other(tmp
         amplifier.connect()
         until(lambda: any("is back" in note["text"] for note in verdicts.of("Note")), 15, "its return", amplifier.play)
         amplifier.play_for(design(ChainConfig(), 250.0).n_before / 250)
-        stimulus.move(3)
+        third = stimulus.move(3)
         until(lambda: len(verdicts.of("Verdict")) == 3, 15, "three verdicts", amplifier.play)
         # What came before the stimulus went on may not be in the recording, and isn't looked at.
         stimulus.say("Pause", reason="The decoder waits for EEG.")
@@ -232,11 +232,18 @@ def test_an_amplifier_that_comes_back_costs_the_moves_it_missed_and_no_other(tmp
         amplifier.play_for(6)
         stimulus.say("EpisodeStart", episode=1, position=[5, 0], sensed=[False] * 5, max_steps=60)
         until(lambda: len(verdicts.of("Electrodes")) == 2, 15, "a look at the electrodes", amplifier.play)
+        # A stimulus that was started again says its last words once more: they are known.
+        stimulus.move(3, third)
+        stimulus.say("EpisodeStart", episode=1, position=[5, 0], sensed=[False] * 5, max_steps=60)
+        stimulus.move(1, episode=1)
+        until(lambda: len(verdicts.of("Verdict")) == 4, 15, "the next verdict", amplifier.play)
+    assert len(verdicts.of("Electrodes")) == 2
+    assert not any("announced twice" in note["text"] for note in verdicts.of("Note"))
     look = verdicts.of("Electrodes")[1]
     assert look["last_time"] - (look["n_samples"] - 1) / 250 >= resumed
     assert look["n_samples"] > 4 * 250
     outcomes = [verdict["outcome"] for verdict in verdicts.of("Verdict")]
-    assert outcomes == ["unjudged", "rejected", "unjudged"]
+    assert outcomes == ["unjudged", "rejected", "unjudged", "unjudged"]
 
 
 @pytest.mark.trouble("BciPy #308, #321: a buffer overflows while nobody reads, and data vanish")

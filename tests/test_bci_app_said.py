@@ -128,7 +128,12 @@ def test_what_is_told_twice_of_goal_and_truth_counts_once() -> None:
     truth = Truth(session="s", episode=0, step=1, error=True, distance=7)
     story: list[Message] = [start(0), goal, move(0, 1), truth]
     here = Continued(session="s", episode=0, step=1)
-    assert without_void([*story, truth, goal, here, truth], lambda message: message) == [*story, here]
+    assert without_void([*story, truth, goal, here, start(0), move(0, 1), truth], lambda message: message) == [
+        *story,
+        here,
+    ]
+    memory = memory_of([opening(), *story, here, start(0), move(0, 1)])
+    assert told(memory, "stimulus") == [opening(), start(0), move(0, 1)]
     # One that is void comes anew.
     earlier, other = here.model_copy(update={"step": 0}), truth.model_copy(update={"error": False})
     assert without_void([*story, earlier, other], lambda message: message) == [start(0), goal, earlier, other]

@@ -96,28 +96,28 @@ def test_a_calibration_goes_on_wherever_it_was_cut(cut: int) -> None:
     assert not second.step()  # it waits
     second.resume()
     after = second.all()
-    assert moves(before) + moves(after) == moves(UNDISTURBED)
-    for kind in (EpisodeStart, EpisodeEnd, BlockEnd, SessionEnd):
-        assert of(before, kind) + of(after, kind) == of(UNDISTURBED, kind)
-    again = last_told(UNDISTURBED, before)
+    again = last_said(UNDISTURBED, before)
     assert [out for out in after if out.stamp < before[-1].stamp or out in again] == again
     new = [out for out in after if out not in again]
+    assert moves(before) + moves(new) == moves(UNDISTURBED)
+    for kind in (EpisodeStart, EpisodeEnd, BlockEnd, SessionEnd):
+        assert of(before, kind) + of(new, kind) == of(UNDISTURBED, kind)
     assert [out.stamp for out in new] == sorted(out.stamp for out in new)
     assert new[0].stamp >= before[-1].stamp
     onsets = [out.stamp for out in (*before, *new) if isinstance(out.message, MoveOnset)]
     assert all(b - a >= 3.0 for a, b in pairwise(onsets))
 
 
-def last_told(whole: list[Outgoing], before: list[Outgoing]) -> list[Outgoing]:
-    """What the stimulus said on other streams with its last start and its last move: it may be lost."""
+def last_said(whole: list[Outgoing], before: list[Outgoing]) -> list[Outgoing]:
+    """What the stimulus said with its last start and its last move: some of it may be lost."""
     starts = [out for out in before if isinstance(out.message, EpisodeStart)]
-    if not starts:
+    if not starts or any(isinstance(out.message, EpisodeEnd) for out in before[before.index(starts[-1]) :]):
         return []
     start = starts[-1].message
     made = [out for out in before if isinstance(out.message, MoveOnset) and out.message.episode == start.episode][-1:]
     goal = [out for out in whole if isinstance(out.message, EpisodeGoal) and out.message.episode == start.episode]
     truth = [out for out in whole if isinstance(out.message, Truth) and made and out.stamp == made[0].stamp]
-    return [*goal, *truth, *(Outgoing("marker", out.message, out.stamp) for out in made)]
+    return [*goal, starts[-1], *truth, *made]
 
 
 def guided_with_actions() -> tuple[list[Outgoing], dict[tuple[int, int], Action]]:
@@ -152,7 +152,8 @@ def test_an_online_run_goes_on_with_the_action_that_was_said(cut: int, with_acti
             last = [out.message for out in (*before, *second.sent) if isinstance(out.message, EpisodeStart | MoveOnset)]
             key = last[-1].episode, getattr(last[-1], "step", 0) + 1
             assert second.paradigm.offer_action(ACTIONS[key]) is None
-    assert moves(before) + moves(second.sent) == moves(ONLINE)
+    new = [out for out in second.sent if out not in last_said(ONLINE, before)]
+    assert moves(before) + moves(new) == moves(ONLINE)
     assert of(before, EpisodeEnd) + of(second.sent, EpisodeEnd) == of(ONLINE, EpisodeEnd)
 
 

@@ -55,7 +55,7 @@ class Course:
             case BlockStart():
                 self.block, self.n_before_block = message, self._n_valid()
                 self.moving_since = self._without_pauses(stamp) if self.moving_since is None else self.moving_since
-            case EpisodeStart():
+            case EpisodeStart() if message.episode not in self.ledger.episodes:
                 self.episode_since = self._without_pauses(stamp)
             case EpisodeEnd() if self.episode_since is not None:
                 self.episodes_s += self._without_pauses(stamp) - self.episode_since
