@@ -3,7 +3,7 @@
     python benchmarks/recording_damage.py RECORDING.xdf [--places 200]
 
 The recording is one of bci-app's, with its checksums (.chunks.json) beside it. It is cut at random places behind its
-headers, as by a power failure (then there are no checksums) or later (then there are), and 64 bytes of it are
+first message, as by a power failure (then there are no checksums) or later (then there are), and 64 bytes of it are
 overwritten at random places, headers and all. A file counts as read where all EEG samples of all chunks that weren't
 touched were read, and no others; as silent where no damage was reported.
 """
@@ -43,7 +43,11 @@ class Original:
             stream for stream, header in chunks.headers.items() if header.source_id == recording.eeg.source_id
         )
         self.header = chunks.headers[self.eeg]
-        self.headers_end = max(chunk.stop for chunk in self.chunks[: 1 + len(chunks.headers)])
+        sampled = [chunk for chunk in self.chunks if chunk.tag == SAMPLES]
+        self.begun = max(
+            next(chunk.stop for chunk in sampled if (chunk.stream == self.eeg) == is_eeg) for is_eeg in (True, False)
+        )
+        """Bytes after which there is EEG, and something was said: of less no reader can tell what it is."""
 
     def expected(self, untouched: list[Chunk]) -> int:
         """EEG samples of these chunks, but for those without a stamp of their own where the one before them is lost."""
@@ -86,7 +90,7 @@ def main() -> None:
         path = Path(folder) / options.recording.name
         for kind in ("cut while written", "cut later", "overwritten"):
             found = []
-            first = len(MAGIC) if kind == "overwritten" else original.headers_end
+            first = len(MAGIC) if kind == "overwritten" else original.begun
             for number, at in enumerate(rng.integers(first, len(data) - N_BYTES, options.places).tolist()):
                 show(kind, number, options.places)
                 if kind == "overwritten":
