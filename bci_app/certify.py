@@ -175,7 +175,7 @@ def _run(wanted: Wanted, eeg: EegDescription, has_light: bool, progress: Progres
     ear = _Ear(session)
     ear.start()
     try:
-        told = verbs.online(wishes, "open", _noise_decoder(wanted.config, eeg, folder), "told", True, progress)
+        told, _ = verbs.online(wishes, "open", _noise_decoder(wanted.config, eeg, folder), "told", True, progress)
         if told["reason"] != "complete":
             raise SetupError(f"The short run didn't come to its end: {told['text']} Start it again.")
         return read(Path(told["recording"]), eeg_type=wishes.config.eeg.stream_type), ear

@@ -189,7 +189,7 @@ def online(
         settings, participant, visit, simulate, speed, seed, session, tuple(remote or ()), resume=resume
     )
     with beside("console", _console(console, config)), progress_bar(as_json) as progress:
-        outcome = verbs.online(wishes, map_name, model, policy, below_gate, progress)
+        outcome, _ = verbs.online(wishes, map_name, model, policy, below_gate, progress)
     _finish_run(outcome, as_json, f"Next: bci-app replay {outcome['recording']}")
 
 

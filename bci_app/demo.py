@@ -28,7 +28,7 @@ def run(config: Config, speed: float, seed: int, progress: Progress) -> dict[str
     for number, name in enumerate(SHIPPED_MAPS):
         wish = replace(wishes, seed=seed + 1 + number)
         told = named(progress, f"3/4 online {name}")
-        runs[name] = verbs.online(wish, name, Path(fitted["model"]), None, True, told)
+        runs[name], _ = verbs.online(wish, name, Path(fitted["model"]), None, True, told)
     paths = [Path(calibrated["recording"]), *(Path(told["recording"]) for told in runs.values())]
     replays = [replaying.replay(path, None, None, False, named(progress, "4/4 replay")) for path in paths]
     summary = _summary(fitted, runs, replays, paths, speed)

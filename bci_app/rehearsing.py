@@ -68,7 +68,7 @@ def rehearse(
     if map_name is None:
         return outcome
     wishes = replace(wishes, seed=(wishes.seed or 0) + 1)
-    told = verbs.online(wishes, map_name, Path(fitted["model"]), None, True, named(progress, "4/4 online"))
+    told, _ = verbs.online(wishes, map_name, Path(fitted["model"]), None, True, named(progress, "4/4 online"))
     return outcome | {"online": told["figures"], "online_recording": told["recording"]}
 
 

@@ -41,7 +41,7 @@ def run(config: Config, model: Path | None, progress: Progress) -> list[dict[str
         if model is None:
             told = verbs.calibrate(wishes, progress)
         else:
-            told = verbs.online(wishes, "open", model, "told", True, progress)
+            told, _ = verbs.online(wishes, "open", model, "told", True, progress)
     except (SetupError, LinkLost) as error:
         return [check(what, False, f"{error} (kept in {folder})")]
     recording = read(Path(told["recording"]))

@@ -87,26 +87,16 @@ def online(
     policy: str | None,
     below_gate: bool,
     progress: Progress,
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any], Recording]:
     """Conduct an online run with the participant's decoder and the policy that suits it.
+
+    Returns its outcome and its recording, which was read back anyway.
 
     Below the gate, unless a `policy` or `below_gate` is asked for, the run goes without verdicts; `policy_reason` says
     so.
 
     Raises SetupError for a missing or unfit model or policy.
     """
-    return online_run(wishes, map_name, model_path, policy, below_gate, progress)[0]
-
-
-def online_run(
-    wishes: Wishes,
-    map_name: str,
-    model_path: Path | None,
-    policy: str | None,
-    below_gate: bool,
-    progress: Progress,
-) -> tuple[dict[str, Any], Recording]:
-    """As `online`; and the run's recording, which was read anyway."""
     wishes = _checked(wishes)
     world = load_map(map_name)
     from decoder.model import fit_stream, load

@@ -109,7 +109,7 @@ def sessions(folder: Path, n: int, n_participants: int, speed: float, longest: i
         model = decoder_of(config, name, folder)
         wishes = verbs.Wishes(config, name, visit, simulate=True, speed=speed, seed=number)
         map_name = ("open", "obstacles")[number // n_participants % 2]
-        told = verbs.online(
+        told, _ = verbs.online(
             wishes, map_name, model, ("told", "accuracy")[number % 2], True, lambda what, done, of: None
         )
         yield Path(told["recording"])

@@ -89,7 +89,7 @@ class ThroughProcesses:
     ) -> tuple[Recording, str]:
         """As `Way`."""
         wishes = self._wishes(config, participant, visit, seed)
-        told, recording = verbs.online_run(wishes, map_name, decoder, str(choice.policy), True, self.progress)
+        told, recording = verbs.online(wishes, map_name, decoder, str(choice.policy), True, self.progress)
         if told["reason"] != "complete":
             raise Stopped(f"{told['reason']}: {told['text']} ({told['recording']})")
         return recording, str(told["recording"])
