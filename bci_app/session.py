@@ -42,7 +42,7 @@ from bci_app.recorder import Recorder
 from bci_app.recording import Recording
 from bci_app.runs import free_reserve, reserve, write_sidecar
 from bci_app.set_up import check_stream
-from bci_app.supervisor import STREAM_OF, Supervisor
+from bci_app.supervisor import STREAM_OF, Recorded, Supervisor
 from bci_app.verifying import verify
 from bci_app.vigil import GROW_TIMEOUT_S, Vigil
 from bci_app.xdf import Follower
@@ -150,10 +150,10 @@ class _Conductor:
         """The file, once it is closed."""
 
     def _lead_s(self) -> float:
-        """Real seconds of EEG that must be recorded before a pause ends: the rest comes until the next move."""
+        """Session seconds of EEG that must be recorded before a pause ends: the rest comes until the next move."""
         stimulus = self.config.stimulus
         until_move = stimulus.rest_s + stimulus.countdown_s
-        return max(0.0, FIR_CYCLES / self.config.chain.low_hz - until_move) / self.clock.speed
+        return max(0.0, FIR_CYCLES / self.config.chain.low_hz - until_move)
 
     # Before the first move.
 
@@ -219,12 +219,12 @@ class _Conductor:
         specs += [AMPLIFIER_NOTES] if self.plan.simulate else []
         streams = [{"source_id": spec.source_id(self.session)} for spec in specs]
         streams.append({"name": eeg.name, "type": self.config.eeg.stream_type, "source_id": eeg.source_id})
-        self.supervisor.eeg_source = eeg.source_id
+        self.supervisor.eeg = Recorded(eeg.source_id, eeg.sfreq)
         recorder = self.recorder = Recorder(self.plan.run.xdf, streams)
         recorder.start()
         sources = [stream["source_id"] for stream in streams if stream["source_id"] not in self._silent_sources()]
         self._await(
-            lambda: all(self.follower.n_chunks[source] for source in sources),
+            lambda: all(self.follower.n_samples[source] for source in sources),
             self.follower.look,
             f"all streams to come into {self.plan.run.xdf}",
             GROW_TIMEOUT_S + RECORDED_WITHIN_S,

@@ -1,6 +1,7 @@
 """Keeps a run going: starts again what dies, tells it what it missed, and has the stimulus wait meanwhile."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 from bci_app.attention import Attention
@@ -46,6 +47,14 @@ AGAIN_S = 0.5
 """Real seconds after which a command that had no effect yet is said again."""
 
 
+@dataclass(frozen=True)
+class Recorded:
+    """The EEG stream that is recorded: its source id, and its rate in Hz."""
+
+    source_id: str
+    sfreq: float
+
+
 class Supervisor:
     """Follows one run's messages and acts on them.
 
@@ -56,7 +65,7 @@ class Supervisor:
     arguments : the command line of each.
     peer : says what is wrong, and commands the stimulus.
     follower : tells which streams come into the recording.
-    lead_s : real seconds of EEG that must be recorded, without a gap, when the stimulus goes on.
+    lead_s : session seconds of EEG that must be recorded, without a gap, when the stimulus goes on.
     attention : how long bci-app has listened by now: what it didn't hear while it was stopped is nobody's silence.
     """
 
@@ -76,16 +85,17 @@ class Supervisor:
         self._peer, self._crew, self._heard, self._follower = peer, crew, heard, follower
         self._clock: Clock = peer.clock
         self._lead_s, self._attention = lead_s, attention
-        self.eeg_source = ""
-        """Source id of the EEG, once it is known."""
-        self._n_eeg = 0  # chunks of it in the file,
-        self._eeg_grew_at = self._eeg_since = 0.0  # when the last came, and since when they came one after the other
+        self.eeg: Recorded | None = None
+        """What is recorded; None until it is."""
+        self._n_eeg = 0  # samples of it in the file,
+        self._eeg_grew_at = 0.0  # when the last came,
+        self._eeg_since = 0.0  # and when the first of them was acquired since it was away
         self._is_eeg_short = False  # in the file, before the next move
         self._wellness = Wellness(roles, "policy" not in roles)
         self.memory = Memory(peer.session)
         self._newest: dict[Role, float] = {}  # stamp of the last word of each process
         self._returned: dict[Role, float] = {}  # stamps at which processes asked what they had missed
-        self._awaited: dict[str, int] = {}  # by source id: chunks that must be in the file; -1 where not known yet
+        self._awaited: dict[str, int] = {}  # by source id: samples that must be in the file; -1 where not known yet
         self._commanded_at = 0.0
         self.mended_at = float("-inf")
         """When a process was last started again, as bci-app listens."""
@@ -113,23 +123,29 @@ class Supervisor:
     def tend(self) -> None:
         """Do what is to be done now. Raises SetupError or LinkLost for what can't be mended."""
         now = self._attention.now()
-        self._follow_eeg(now)
-        self._follow_messages()
+        self._follow_file(now)
         for role, how in self._failures(now).items():
             self._start_again(role, how, now)
         self._answer()
         self._pause_or_resume(now)
 
-    def _follow_eeg(self, now: float) -> None:
+    def _follow_file(self, now: float) -> None:
+        if self.eeg is not None:
+            self._follow_eeg(self.eeg, now)
+            self._follow_messages()
+
+    def _follow_eeg(self, eeg: Recorded, now: float) -> None:
         """The recorder may find a stream that was gone later than the decoder does."""
-        n_eeg = self._follower.n_chunks[self.eeg_source]
-        if n_eeg == self._n_eeg:
-            self._is_eeg_short |= now - self._eeg_grew_at > EEG_PAUSE_S
+        n_new = self._follower.n_samples[eeg.source_id] - self._n_eeg
+        was_away = now - self._eeg_grew_at > EEG_PAUSE_S
+        if n_new:
+            if was_away:  # the recorder had these before it wrote them
+                self._eeg_since = now - n_new / eeg.sfreq / self._clock.speed
+            self._n_eeg, self._eeg_grew_at = self._n_eeg + n_new, now
+        elif was_away:
+            self._is_eeg_short = True
             return
-        if now - self._eeg_grew_at > EEG_PAUSE_S:
-            self._eeg_since = now
-        self._n_eeg, self._eeg_grew_at = n_eeg, now
-        if now - self._eeg_since > self._lead_s:
+        if now - self._eeg_since > self._lead_s / self._clock.speed:
             self._is_eeg_short = False
 
     def mend(self) -> None:
@@ -140,9 +156,7 @@ class Supervisor:
         now = self._attention.now()
         for role, how in self._crew.check(may_be_mended=not self._remote).items():
             self._start_again(role, how, now)
-        if self.eeg_source:
-            self._follow_eeg(now)
-            self._follow_messages()
+        self._follow_file(now)
 
     @property
     def may_begin(self) -> bool:
@@ -175,7 +189,7 @@ class Supervisor:
         self._heard.forget(role)
         self._returned.pop(role, None)
         has_begun, self.mended_at = self._heard.start is not None, now
-        if self.eeg_source:
+        if self.eeg is not None:
             # Before the first message nothing is said but on the streams of events.
             specs = [spec for spec in STREAMS if spec.role == role and (has_begun or spec.kind == "Events")]
             self._awaited |= {spec.source_id(self._peer.session): -1 for spec in specs}
@@ -221,10 +235,10 @@ class Supervisor:
 
     def _follow_messages(self) -> None:
         """Which streams of processes that were started again have come into the file."""
-        found = self._follower.n_chunks
-        for source, chunks in self._awaited.items():
+        found = self._follower.n_samples
+        for source, n_samples in self._awaited.items():
             role = next(spec.role for spec in STREAMS if spec.source_id(self._peer.session) == source)
-            if chunks < 0 and self._wellness.is_back(role):
+            if n_samples < 0 and self._wellness.is_back(role):
                 self._awaited[source] = found[source] + 1  # what is written from now on is the new process's
         self._awaited = {source: n for source, n in self._awaited.items() if n < 0 or found[source] < n}
 

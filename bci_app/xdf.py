@@ -287,8 +287,8 @@ class Follower:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._at = len(MAGIC)
-        self.n_chunks: Counter[str] = Counter()
-        """Chunks of samples so far, by the source id of their stream."""
+        self.n_samples: Counter[str] = Counter()
+        """Samples so far, by the source id of their stream."""
         self._source_ids: dict[int, str] = {}
 
     @property
@@ -310,6 +310,7 @@ class Follower:
                 header = _header(new[chunk.content : chunk.stop])
                 self._source_ids[chunk.stream] = header.source_id if header else ""
             elif chunk.tag == SAMPLES:
-                self.n_chunks[self._source_ids.get(chunk.stream, "")] += 1
+                counted = _number(memoryview(new)[chunk.content : chunk.stop], 0)
+                self.n_samples[self._source_ids.get(chunk.stream, "")] += counted[0] if counted else 0
             at = chunk.stop
         self._at += at

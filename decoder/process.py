@@ -29,6 +29,7 @@ from bci_app.said import is_void, place_after
 from decoder import model as models
 from decoder.drift import DriftWatch
 from decoder.electrodes import RECORDED_S, Examiner, changes
+from decoder.enquiry import Enquiry
 from decoder.epochs import EpochBuffer, Rejection
 from decoder.judge import Judge, MoveKey, judge_with, judge_without
 from decoder.reception import LINK_S, Reception
@@ -130,6 +131,9 @@ class _Server:
         lead_s = max(0.0, judge.shape.n_before / judge.shape.sfreq - until_move) + MAX_JITTER
         speed, tolerance, patience_s = peer.clock.speed, settings.rate_tolerance, settings.patience_s
         self._reception = Reception(description.name, description.sfreq, speed, lead_s, tolerance, patience_s)
+        # LSL takes up to three seconds to measure a clock anew, and half a second to ask a stream what it is.
+        self._correction = Enquiry(eeg.clock_correction)
+        self._is_unchanged = Enquiry(lambda: eeg.is_unchanged(CHECK_S))
         self._linked_at = self._eeg_offset = 0.0
 
     def look(self, patience: float) -> None:
@@ -311,11 +315,17 @@ class _Server:
         now, reception = local_clock(), self._reception
         is_due = now - self._linked_at >= LINK_S
         if is_due and not reception.is_silent:  # after a silence too: its computer may have been started anew
-            self._eeg_offset = self._eeg.clock_correction()
+            self._correction.begin(reception.n_silences)
+        correction = self._correction.take(reception.n_silences)
+        if correction is not None:
+            self._eeg_offset = correction
+            reception.knows_its_clock()
         for level, text in reception.take(times, now, self._peer.clock.to_session(now - self._eeg_offset)):
             self._peer.note(level, text)
         # LSL has reconnected to whatever has the source id; where it can't be asked, it is asked again.
-        if reception.is_to_be_asked and self._eeg.is_unchanged(CHECK_S):
+        if reception.is_to_be_asked:
+            self._is_unchanged.begin(reception.n_silences)
+        if self._is_unchanged.take(reception.n_silences):
             reception.is_what_it_was()
         if reception.moved_s:
             self._buffer.abandon("the EEG's time stamps have moved against the clock")

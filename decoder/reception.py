@@ -64,6 +64,7 @@ class Reception:
         self.is_silent = False
         self._whole_since = self._newest = np.inf  # stamps: from the one to the other no sample is missing
         self._is_short = False  # of samples before the next move
+        self._is_clock_known = False
         self._was_away = False  # and must be asked what it is before it counts again
         self._delays: deque[tuple[float, float]] = deque()  # of the last seconds: when it came, and how late, session s
         self._usual: float | None = None  # how late they come, session seconds,
@@ -76,7 +77,7 @@ class Reception:
         """Session seconds by which they come later than in the beginning; 0 for less than matters."""
         self._rate_times = np.empty(0)
         self._rate_is_off = False
-        self.n_gaps = self.n_reconnects = 0
+        self.n_gaps = self.n_silences = self.n_reconnects = 0
         self._n_lately, self._lately_since = 0, -np.inf
         self.rate_hz: float | None = None
         """Samples a session second, lately."""
@@ -98,12 +99,16 @@ class Reception:
 
     @property
     def is_to_be_asked(self) -> bool:
-        """Whether it was away, is whole again, and only what it is by now isn't known."""
-        return self._was_away and self._is_whole()
+        """Whether it was away, is back, and what it is by now isn't known."""
+        return self._was_away and not self.is_silent
 
     def is_what_it_was(self) -> None:
         """It was asked: it is."""
         self._was_away = False
+
+    def knows_its_clock(self) -> None:
+        """From now on `session_now` is read on the clock of the stamps: that has been measured since it was away."""
+        self._is_clock_known = True
 
     @property
     def lacks(self) -> str | None:
@@ -128,6 +133,8 @@ class Reception:
             return [("info", f"The EEG is back after {before:.1f} s.")]
         if not self.is_silent and self.quiet_s > SILENCE_S:
             self.is_silent = self._is_short = True
+            self._is_clock_known = False
+            self.n_silences += 1
             return [("error", f"No EEG sample for {SILENCE_S:g} s.")]
         return []
 
@@ -144,6 +151,8 @@ class Reception:
 
     def _compare_clocks(self, newest: float, now: float, session_now: float) -> list[Remark]:
         """Stamps are only worth something while what they say of now is what it was."""
+        if not self._is_clock_known:
+            return []
         self._delays.append((now, session_now - newest))
         while now - self._delays[0][0] > DELAY_S:
             self._delays.popleft()

@@ -15,17 +15,18 @@ from bci_app.heard import Heard
 from bci_app.lsl import Received, local_clock, session_clock
 from bci_app.peer import Peer
 from bci_app.protocol import SESSION, STREAMS, AnyMessage, Pause, Role, Status
-from bci_app.supervisor import Supervisor
+from bci_app.supervisor import EEG_PAUSE_S, Recorded, Supervisor
 from bci_app.wellness import HANGS_S
 from bci_app.xdf import Follower
 
 ROLES: tuple[Role, ...] = ("decoder", "policy", "stimulus")
+EEG = Recorded("amp", 100.0)
 
 
 class Run:
     """A run as its supervisor sees it."""
 
-    def __init__(self, folder: Path, session: str, remote: frozenset[Role] = frozenset()) -> None:
+    def __init__(self, folder: Path, session: str, remote: frozenset[Role] = frozenset(), lead_s: float = 0.0) -> None:
         self.real_s = 0.0
         self.peer = Peer(SESSION, "session", session, session_clock())
         self.crew, self.heard = Crew(folder), Heard(ROLES)
@@ -38,7 +39,7 @@ class Run:
             self.crew,
             self.heard,
             self.follower,
-            0.0,
+            lead_s,
             self.attention,
         )
 
@@ -56,18 +57,18 @@ class Run:
         hears = {spec.name: now for spec in STREAMS if spec.role in ROLES and spec.role != role}
         return Status(session=self.peer.session, role=role, state="ready", hears=hears)
 
-    def pass_s(self, seconds: float) -> None:
+    def pass_s(self, seconds: float, has_eeg: bool = True) -> None:
         """Time passes, in which the supervisor listens and EEG comes into the recording."""
         ends = self.real_s + seconds
         while self.real_s < ends:
             self.real_s += 0.5
             self.attention.now()
-            self.follower.n_chunks[""] += 1
+            self.follower.n_samples[EEG.source_id] += 50 if has_eeg else 0
 
 
 @contextmanager
-def running(folder: Path, session: str, remote: frozenset[Role] = frozenset()) -> Iterator[Run]:
-    run = Run(folder, session, remote)
+def running(folder: Path, session: str, remote: frozenset[Role] = frozenset(), lead_s: float = 0.0) -> Iterator[Run]:
+    run = Run(folder, session, remote, lead_s)
     try:
         yield run
     finally:
@@ -121,6 +122,28 @@ def test_the_stimulus_is_told_to_wait_and_to_go_on(tmp_path: Path) -> None:
         run.supervisor.tend()
         assert run.supervisor.waits_for is None
         until(lambda: told.of("Command")[-1]["command"] == "resume", 10, "the command")
+
+
+def test_the_stimulus_waits_until_the_recorder_too_has_had_the_eeg_again_for_long_enough(tmp_path: Path) -> None:
+    """From when the first samples of its first batch were acquired, not from when they came into the file."""
+    with running(tmp_path, "lead", lead_s=1.25) as run:
+        run.supervisor.eeg = EEG
+        run.all_well()
+        run.say("stimulus", opening())
+        run.pass_s(2)
+        run.supervisor.tend()
+        assert run.supervisor.waits_for is None
+        run.pass_s(EEG_PAUSE_S + 0.5, has_eeg=False)
+        run.all_well()
+        run.supervisor.tend()
+        assert run.supervisor.waits_for == "The recorder doesn't hear the EEG yet."
+        waits = []
+        for _ in range(3):
+            run.pass_s(0.5)
+            run.all_well()
+            run.supervisor.tend()
+            waits.append(run.supervisor.waits_for is not None)
+        assert waits == [True, True, False]
 
 
 def test_a_person_who_paused_goes_on_by_themselves(tmp_path: Path) -> None:

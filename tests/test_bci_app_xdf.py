@@ -149,7 +149,7 @@ def test_a_growing_file_is_followed(tmp_path_factory: pytest.TempPathFactory, cu
     for cut in [*sorted(cuts), len(WHOLE)]:
         path.write_bytes(WHOLE[:cut])
         follower.look()
-    assert follower.n_chunks == {"amp-1": 12, "talk-1": 6}
+    assert follower.n_samples == {"amp-1": 240, "talk-1": 12}
 
 
 def test_real_recordings_are_whole(data: Path) -> None:

@@ -129,6 +129,8 @@ def test_the_page_follows_a_session_and_the_session_what_is_asked_for(session: S
         viewer.on("pageerror", lambda error: troubles.append(str(error)))
         viewer.on("console", lambda said: troubles.append(said.text) if said.type == "error" else None)
         viewer.goto(session.address)
+    # The electrodes are looked at when the first block begins; a pause that came before would leave them unknown.
+    expect(page.locator("#bad")).to_have_text("bad: C3 (flat)", timeout=30_000)
     press(page, "Pause")
     page.locator("#note").fill(NOTE)
     page.keyboard.press("Enter")
