@@ -119,12 +119,12 @@ class Course:
 
     def judged(self, verdict: Verdict) -> str | None:
         """Hear whether a move's epoch is valid. A sentence when no more of this block will be repeated."""
-        found = self._repeats.judged((verdict.episode, verdict.step), verdict.outcome)
+        found = self._repeats.judged((verdict.episode, verdict.step), verdict.outcome, verdict.by_time)
         self._moves -= found in ("again", "last")
         if found != "last":
             return None
-        most = self._repeats.most
-        return f"{most} moves of block {self.block} had to be repeated; no more will be. Look at the electrodes."
+        most, what = self._repeats.most[verdict.by_time], "EEG's connection" if verdict.by_time else "electrodes"
+        return f"{most} moves of block {self.block} had to be repeated; no more will be. Look at the {what}."
 
     def miss_verdicts(self) -> int:
         """Take those that stay away for valid; returns how many."""

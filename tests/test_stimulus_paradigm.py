@@ -65,11 +65,14 @@ def action(episode: int, step: int, name: str, session: str = "s") -> Action:
     )
 
 
-Outcome = Literal["unjudged", "rejected"]
+Outcome = Literal["unjudged", "rejected", "untimely"]
+"""The last is rejected by time."""
 
 
 def verdict(move: MoveOnset, outcome: Outcome) -> Verdict:
-    return Verdict(session="s", episode=move.episode, step=move.step, outcome=outcome, clock_offset=0.0)
+    by_time = outcome == "untimely"
+    said: Literal["unjudged", "rejected"] = "unjudged" if outcome == "unjudged" else "rejected"
+    return Verdict(session="s", episode=move.episode, step=move.step, outcome=said, by_time=by_time, clock_offset=0.0)
 
 
 class Runner:
@@ -313,14 +316,17 @@ def test_a_flip_nobody_awaits_is_a_programmers_mistake() -> None:
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_rejected_moves_are_repeated_in_kind_at_the_end_of_their_block(data: st.DataObject) -> None:
-    """Whenever the verdicts come, and whichever moves are rejected, repetitions too; at most half a block of them."""
+    """Whenever the verdicts come, and whichever moves are rejected, repetitions too; at most half a block of them, and a
+    block of those that are no fault of the electrodes."""
     n_blocks, per_block = data.draw(st.integers(1, 3), "blocks"), data.draw(st.integers(1, 12), "moves")
     waiting: list[MoveOnset] = []
     told: dict[tuple[int, int], Outcome] = {}
     late = data.draw(st.booleans(), "late")
 
     def judge(move: MoveOnset) -> Outcome | None:
-        told[move.episode, move.step] = data.draw(st.sampled_from(["unjudged", "unjudged", "rejected"]), "verdict")
+        told[move.episode, move.step] = data.draw(
+            st.sampled_from(["unjudged", "unjudged", "unjudged", "rejected", "untimely"]), "verdict"
+        )
         if late:
             waiting.append(move)
             return None
@@ -353,8 +359,13 @@ def test_rejected_moves_are_repeated_in_kind_at_the_end_of_their_block(data: st.
                 assert end.n_moves == len(blocks[-1])
                 blocks.append([])
     for block in blocks[:-1]:
-        rejected = [error for outcome, error, _ in block if outcome == "rejected"]
-        assert len(block) == per_block + min(math.ceil(per_block / 2), len(rejected))
+        left = {"rejected": math.ceil(per_block / 2), "untimely": per_block, "unjudged": 0}
+        rejected = []
+        for outcome, error, _ in block:
+            if left[outcome]:
+                rejected.append(error)
+                left[outcome] -= 1
+        assert len(block) == per_block + len(rejected)
         if not late:  # else they are repeated in the order in which their verdicts came
             repeated = block[per_block:]
             assert [error for _, error, _ in repeated] == [
