@@ -316,8 +316,8 @@ def test_a_flip_nobody_awaits_is_a_programmers_mistake() -> None:
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_rejected_moves_are_repeated_in_kind_at_the_end_of_their_block(data: st.DataObject) -> None:
-    """Whenever the verdicts come, and whichever moves are rejected, repetitions too; at most half a block of them, and a
-    block of those that are no fault of the electrodes."""
+    """Whenever the verdicts come, and whichever moves are rejected, repetitions too; at most half a block of them, and
+    a block of those that are no fault of the electrodes."""
     n_blocks, per_block = data.draw(st.integers(1, 3), "blocks"), data.draw(st.integers(1, 12), "moves")
     waiting: list[MoveOnset] = []
     told: dict[tuple[int, int], Outcome] = {}
