@@ -266,23 +266,28 @@ class EegInlet:
         samples, stamps = self._inlet.pull_chunk(timeout=timeout, max_samples=4096, min_samples=1, as_numpy=True)
         return self.description.in_microvolts(samples), np.array(stamps)
 
-    def is_unchanged(self, timeout: float) -> bool:
-        """After an interruption: LSL reconnects to whatever has the source id. False where it doesn't answer within
-        `timeout` real seconds; raises SetupError if it has changed."""
+    def look_again(self, timeout: float) -> float | None:
+        """After an interruption LSL reconnects to whatever has the source id, and takes up to three seconds to measure
+        its clock. This asks by another connection, in one: returns the clock correction, or None where it doesn't
+        answer within `timeout` real seconds. Raises SetupError if it has changed."""
         same = f"name={_quoted(self.description.name)} and source_id={_quoted(self.description.source_id)}"
         found = pylsl.resolve_bypred(same, 1, timeout)
         if not found:
-            return False
+            return None
+        inlet = pylsl.StreamInlet(found[0], recover=False)
         try:
-            now = describe(found[0], timeout)
-        except LinkLost:
-            return False
+            now, correction = _describe(inlet, self.description.name, timeout), None
+            if now == self.description:
+                correction = _correction(inlet, self.description.name, timeout)
+        except LinkLost as error:
+            log.info("%s", error)  # gone again: it is asked again
+            return None
         if now != self.description:
             raise SetupError(
                 f"Stream '{self.description.name}' came back changed: expected {self.description}, found {now}. "
                 "Restore the amplifier's settings and start the run again; what was recorded is kept."
             )
-        return True
+        return correction
 
     def clock_correction(self) -> float:
         """Seconds to add to the amplifier's stamps to put them on this machine's clock."""
@@ -381,9 +386,9 @@ def _open(inlet: pylsl.StreamInlet, name: str) -> None:
         raise LinkLost(f"Stream '{name}' was announced but can't be opened. Restart its sender.") from error
 
 
-def _correction(inlet: pylsl.StreamInlet, name: str) -> float:
+def _correction(inlet: pylsl.StreamInlet, name: str, timeout: float = OPEN_TIMEOUT_S) -> float:
     try:
-        return float(inlet.time_correction(OPEN_TIMEOUT_S))
+        return float(inlet.time_correction(timeout))
     except (pylsl.util.TimeoutError, pylsl.util.LostError) as error:
         raise LinkLost(f"The clock of stream '{name}' can't be measured: it doesn't answer.") from error
 

@@ -46,6 +46,8 @@ from bci_app.supervisor import STREAM_OF, Recorded, Supervisor
 from bci_app.verifying import verify
 from bci_app.vigil import GROW_TIMEOUT_S, Vigil
 from bci_app.xdf import Follower
+from decoder.chain import look_back_s
+from decoder.timeline import MAX_JITTER
 
 READY_TIMEOUT_S = 90.0
 """Real seconds all processes may take to be ready (the slowest loads torch)."""
@@ -53,8 +55,6 @@ RECORDED_WITHIN_S = 8.0
 """Real seconds until every stream that speaks has come into a new file: LabRecorder asks for clocks first."""
 HALT_TIMEOUT_S = 10.0
 """Real seconds a move under way may take until the run is stopped without waiting for its end."""
-FIR_CYCLES = 3.3
-"""Length of the chain's FIR in periods of its lowest frequency (MNE's rule)."""
 LEAD_CYCLES = 4.5
 """EEG recorded before the first move, in the same periods."""
 LEAD_S = 8.0
@@ -135,7 +135,6 @@ class _Conductor:
             self.crew,
             self.heard,
             self.follower,
-            self._lead_s(),
             self.attention,
         )
         self.ended_at: float | None = None
@@ -149,11 +148,11 @@ class _Conductor:
         self.recording: Recording | None = None
         """The file, once it is closed."""
 
-    def _lead_s(self) -> float:
+    def _lead_s(self, sfreq: float) -> float:
         """Session seconds of EEG that must be recorded before a pause ends: the rest comes until the next move."""
         stimulus = self.config.stimulus
         until_move = stimulus.rest_s + stimulus.countdown_s
-        return max(0.0, FIR_CYCLES / self.config.chain.low_hz - until_move)
+        return max(0.0, look_back_s(self.config.chain, sfreq) - until_move) + MAX_JITTER
 
     # Before the first move.
 
@@ -219,7 +218,7 @@ class _Conductor:
         specs += [AMPLIFIER_NOTES] if self.plan.simulate else []
         streams = [{"source_id": spec.source_id(self.session)} for spec in specs]
         streams.append({"name": eeg.name, "type": self.config.eeg.stream_type, "source_id": eeg.source_id})
-        self.supervisor.eeg = Recorded(eeg.source_id, eeg.sfreq)
+        self.supervisor.eeg = Recorded(eeg.source_id, eeg.sfreq, self._lead_s(eeg.sfreq))
         recorder = self.recorder = Recorder(self.plan.run.xdf, streams)
         recorder.start()
         sources = [stream["source_id"] for stream in streams if stream["source_id"] not in self._silent_sources()]

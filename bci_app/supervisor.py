@@ -49,10 +49,17 @@ AGAIN_S = 0.5
 
 @dataclass(frozen=True)
 class Recorded:
-    """The EEG stream that is recorded: its source id, and its rate in Hz."""
+    """The EEG stream that is recorded.
+
+    Attributes
+    ----------
+    source_id, sfreq : of the stream; Hz.
+    lead_s : session seconds of it that must be recorded, without a gap, when the stimulus goes on.
+    """
 
     source_id: str
     sfreq: float
+    lead_s: float
 
 
 class Supervisor:
@@ -65,7 +72,6 @@ class Supervisor:
     arguments : the command line of each.
     peer : says what is wrong, and commands the stimulus.
     follower : tells which streams come into the recording.
-    lead_s : session seconds of EEG that must be recorded, without a gap, when the stimulus goes on.
     attention : how long bci-app has listened by now: what it didn't hear while it was stopped is nobody's silence.
     """
 
@@ -78,13 +84,12 @@ class Supervisor:
         crew: Crew,
         heard: Heard,
         follower: Follower,
-        lead_s: float,
         attention: Attention,
     ) -> None:
         self._roles, self._remote, self._arguments = roles, remote, arguments
         self._peer, self._crew, self._heard, self._follower = peer, crew, heard, follower
         self._clock: Clock = peer.clock
-        self._lead_s, self._attention = lead_s, attention
+        self._attention = attention
         self.eeg: Recorded | None = None
         """What is recorded; None until it is."""
         self._n_eeg = 0  # samples of it in the file,
@@ -145,7 +150,7 @@ class Supervisor:
         elif was_away:
             self._is_eeg_short = True
             return
-        if now - self._eeg_since > self._lead_s / self._clock.speed:
+        if now - self._eeg_since > eeg.lead_s / self._clock.speed:
             self._is_eeg_short = False
 
     def mend(self) -> None:

@@ -84,6 +84,18 @@ def band_pass_taps(config: ChainConfig) -> Array:
     return np.asarray(taps, dtype=np.float64)
 
 
+def look_back_s(config: ChainConfig, sfreq: float) -> float:
+    """Seconds of EEG before the onset's sample that the features depend on, without designing the chain.
+
+    The FIR's length is MNE's rule: 3.3 periods of the narrower transition band, which is a quarter of the edge's
+    frequency, but 2 Hz at least and no wider than there is room.
+    """
+    low = min(max(config.low_hz / 4, 2.0), config.low_hz)
+    high = min(max(config.high_hz / 4, 2.0), config.sfreq / 2 - config.high_hz)
+    n_taps = ceil(round(3.3 / min(low, high), 10) * config.sfreq)
+    return stretch(config, sfreq, n_taps + 1 - n_taps % 2)[0] / sfreq
+
+
 def stretch(config: ChainConfig, sfreq: float, n_taps: int) -> tuple[int, int]:
     """``(n_before, n_after)``: the raw samples around the onset's sample that the features depend on.
 

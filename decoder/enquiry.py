@@ -1,7 +1,8 @@
 """A question to a stream that takes a while: a thread asks it, so that samples are pulled and judged meanwhile."""
 
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
+from threading import Thread
 from typing import Generic, TypeVar
 
 Answer = TypeVar("Answer")
@@ -12,18 +13,24 @@ class Enquiry(Generic[Answer]):
 
     Parameters
     ----------
-    ask : blocks until it has the answer; runs in a thread of its own.
+    ask : blocks until it has the answer; runs in a thread of its own, for which the process's end doesn't wait.
     """
 
     def __init__(self, ask: Callable[[], Answer]) -> None:
         self._ask = ask
-        self._threads = ThreadPoolExecutor(1)
         self._asked: tuple[int, Future[Answer]] | None = None
 
     def begin(self, circumstances: int) -> None:
         """Ask, unless that is being done already; what is found holds as long as the circumstances are the same."""
-        if self._asked is None:
-            self._asked = circumstances, self._threads.submit(self._ask)
+        if self._asked is None or self._asked[0] != circumstances:
+            self._asked = circumstances, Future()
+            Thread(target=self._answer, args=(self._asked[1],), name="enquiry", daemon=True).start()
+
+    def _answer(self, asked: Future[Answer]) -> None:
+        try:
+            asked.set_result(self._ask())
+        except Exception as error:  # noqa: BLE001 (raised again by `take`)
+            asked.set_exception(error)
 
     def take(self, circumstances: int) -> Answer | None:
         """The answer, once; None while there is none. Raises what asking raised.

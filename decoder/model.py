@@ -1,6 +1,7 @@
 """A decoder in one file without pickle: safetensors with the numbers, JSON metadata with everything else."""
 
 import json
+import os
 import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -145,14 +146,29 @@ def save(model: DecoderModel, path: Path) -> None:
         tensors |= {"ocular_sources": model.eyes.sources, "ocular_weights": model.eyes.weights}
     contents = seal(lambda words: save_tensors(tensors, metadata=words), _KEY, model.info.model_dump_json())
     try:
-        with path.open("xb") as file:
-            file.write(contents)
+        _create(path, contents)
     except FileExistsError as error:
         raise SetupError(
             f"There is a decoder {path} already, and decoders are never overwritten. Choose another name or move it."
         ) from error
     except OSError as error:
         raise SetupError(f"Can't write the decoder {path}: {error}.") from error
+
+
+def _create(path: Path, contents: bytes) -> None:
+    """Write a new file, whole or not at all. Raises FileExistsError where there is one."""
+    partial = path.with_name(f"{path.name}.partial")
+    partial.write_bytes(contents)
+    try:
+        os.link(partial, path)  # unlike a renamed file it never takes another one's place
+    except FileExistsError:
+        raise
+    except OSError:  # a disk without links
+        if path.exists():
+            raise FileExistsError from None
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def load(path: Path) -> DecoderModel:

@@ -55,8 +55,8 @@ CLOCK_S = 5.0
 """Seconds the newest sample's stamp may be from now; buffers and networks delay by less (decided)."""
 LOOK_S = 3.0
 """Session seconds of EEG looked at before the decoder calls itself ready."""
-CHECK_S = 1.0
-"""Real seconds to ask a stream that came back what it is."""
+CHECK_S = 2.0
+"""Real seconds each step may take of asking a stream that came back what it is and what its clock says."""
 
 
 def run(
@@ -131,10 +131,11 @@ class _Server:
         lead_s = max(0.0, judge.shape.n_before / judge.shape.sfreq - until_move) + MAX_JITTER
         speed, tolerance, patience_s = peer.clock.speed, settings.rate_tolerance, settings.patience_s
         self._reception = Reception(description.name, description.sfreq, speed, lead_s, tolerance, patience_s)
-        # LSL takes up to three seconds to measure a clock anew, and half a second to ask a stream what it is.
         self._correction = Enquiry(eeg.clock_correction)
-        self._is_unchanged = Enquiry(lambda: eeg.is_unchanged(CHECK_S))
-        self._linked_at = self._eeg_offset = 0.0
+        self._changed = Enquiry(lambda: eeg.look_again(CHECK_S))
+        self._eeg_offset = eeg.clock_correction()  # seconds
+        self._same_clock = False  # as the stimulus
+        self._linked_at = 0.0
 
     def look(self, patience: float) -> None:
         """Take a few seconds of EEG to see that it is alive, on LSL's clock and at its rate."""
@@ -163,7 +164,7 @@ class _Server:
 
     def _check_clock(self, newest: float) -> None:
         """LSL stamps are seconds of LSL's clock; some programs push the time of day or of the amplifier instead."""
-        now = self._peer.clock.to_session(local_clock() - self._eeg.clock_correction())
+        now = self._peer.clock.to_session(local_clock() - self._eeg_offset)
         if abs(now - newest) > CLOCK_S * max(1.0, self._peer.clock.speed):
             raise SetupError(
                 f"Stream '{self._eeg.description.name}' stamps its samples {newest - now:+.1f} s from LSL's clock, so "
@@ -202,12 +203,12 @@ class _Server:
         """Judge moves until the session has ended and every move has its verdict."""
         # Two streams of one machine share its clock: their difference is exactly nothing. A name can be shared by two
         # machines, though, so it is measured once: that takes half a second, all later measurements are at hand.
-        apart = stimulus.clock_correction() - self._eeg.clock_correction()
-        same_clock = stimulus.hostname == self._eeg.description.hostname and abs(apart) < SAME_CLOCK_S
+        apart = stimulus.clock_correction() - self._eeg_offset
+        self._same_clock = stimulus.hostname == self._eeg.description.hostname and abs(apart) < SAME_CLOCK_S
 
         def offset() -> float:
             behind_s = self._reception.behind_s(local_clock())
-            return (0.0 if same_clock else stimulus.clock_correction() - self._eeg.clock_correction()) - behind_s
+            return (0.0 if self._same_clock else stimulus.clock_correction() - self._eeg_offset) - behind_s
 
         ended, ended_at = False, 0.0
         while not ended or self._buffer.n_waiting:
@@ -309,24 +310,31 @@ class _Server:
             self._peer.note("warning", drift.sentence)
             self._watch = None
 
+    def _measure(self, is_due: bool) -> None:
+        """Measure the amplifier's clock now and then; after a silence ask first what it is by now."""
+        reception = self._reception
+        found = self._changed.take(reception.n_silences)
+        if found is not None:
+            # A computer that was changed for another of the same name no longer shares the stimulus's clock.
+            self._same_clock &= abs(found - self._eeg_offset) < SAME_CLOCK_S
+            self._eeg_offset = found
+            reception.is_what_it_was()
+        elif reception.is_to_be_asked:
+            self._changed.begin(reception.n_silences)
+        correction = self._correction.take(reception.n_silences)
+        if correction is not None:
+            self._eeg_offset = correction
+        if is_due and reception.is_known:
+            self._correction.begin(reception.n_silences)
+
     def _follow(self, times: NDArray[np.float64]) -> None:
         """Tell how the EEG comes in; moves that wait for samples which won't come, or not where they belong, are
         rejected."""
         now, reception = local_clock(), self._reception
         is_due = now - self._linked_at >= LINK_S
-        if is_due and not reception.is_silent:  # after a silence too: its computer may have been started anew
-            self._correction.begin(reception.n_silences)
-        correction = self._correction.take(reception.n_silences)
-        if correction is not None:
-            self._eeg_offset = correction
-            reception.knows_its_clock()
-        for level, text in reception.take(times, now, self._peer.clock.to_session(now - self._eeg_offset)):
+        self._measure(is_due)
+        for level, text in reception.take(times, now, self._peer.clock.to_session(now), self._eeg_offset):
             self._peer.note(level, text)
-        # LSL has reconnected to whatever has the source id; where it can't be asked, it is asked again.
-        if reception.is_to_be_asked:
-            self._is_unchanged.begin(reception.n_silences)
-        if self._is_unchanged.take(reception.n_silences):
-            reception.is_what_it_was()
         if reception.moved_s:
             self._buffer.abandon("the EEG's time stamps have moved against the clock")
         elif reception.quiet_s > PATIENCE_S:

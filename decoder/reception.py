@@ -34,6 +34,8 @@ OTHER_S = 0.5
 clock that was set (decided)."""
 DELAY_S = 2.0
 """Real seconds of which the promptest sample tells how late they come: computers pause for less (decided)."""
+RETURN_S = 0.5
+"""The same of a stream that is back: everybody waits for it (decided)."""
 LINK_S = 1.0
 """Real seconds over which a link is summed up."""
 
@@ -64,8 +66,8 @@ class Reception:
         self.is_silent = False
         self._whole_since = self._newest = np.inf  # stamps: from the one to the other no sample is missing
         self._is_short = False  # of samples before the next move
-        self._is_clock_known = False
-        self._was_away = False  # and must be asked what it is before it counts again
+        self._back_at = 0.0
+        self._was_away = False  # and must be asked what it is, on which clock, before it counts again
         self._delays: deque[tuple[float, float]] = deque()  # of the last seconds: when it came, and how late, session s
         self._usual: float | None = None  # how late they come, session seconds,
         self._learning_since = np.inf  # and since when that is learnt
@@ -82,33 +84,37 @@ class Reception:
         self.rate_hz: float | None = None
         """Samples a session second, lately."""
 
-    def take(self, times: NDArray[np.float64], now: float, session_now: float) -> list[Remark]:
+    def take(self, times: NDArray[np.float64], now: float, session_now: float, offset: float = 0.0) -> list[Remark]:
         """Take in a round, at real time `now`, that brought samples stamped `times` (n_times,), or none.
+
+        `session_now` is the same moment on the session clock, `offset` what has to be added to the stream's own clock,
+        real seconds, to come to this computer's; after a silence it counts only once `is_what_it_was` was told.
 
         Returns what is to be told. Raises LinkLost for a silence longer than patience, SetupError for a wrong rate.
         """
         remarks = self._listen(len(times), now)
         if len(times):
             self._look_for_gap(times)
-            remarks += self._compare_clocks(float(times[-1]), now, session_now)
+            remarks += self._compare_clocks(float(times[-1]), now, session_now, offset)
             remarks += self._check_rate(times)
         self._sum_up(len(times), now)
-        if self._is_short and self._is_whole() and not self.moved_s and not self._was_away:
+        if self._is_short and self._is_whole() and self.is_known and not self._is_other_link and not self.moved_s:
             self._is_short = False
         return remarks
 
     @property
     def is_to_be_asked(self) -> bool:
-        """Whether it was away, is back, and what it is by now isn't known."""
+        """Whether it was away, is back, and what it is by now, and on which clock, isn't known."""
         return self._was_away and not self.is_silent
 
     def is_what_it_was(self) -> None:
-        """It was asked: it is."""
+        """It was asked: it is, and its clock has been measured anew."""
         self._was_away = False
 
-    def knows_its_clock(self) -> None:
-        """From now on `session_now` is read on the clock of the stamps: that has been measured since it was away."""
-        self._is_clock_known = True
+    @property
+    def is_known(self) -> bool:
+        """Whether it is there, and what it is and on which clock is known."""
+        return not (self.is_silent or self._was_away)
 
     @property
     def lacks(self) -> str | None:
@@ -126,14 +132,19 @@ class Reception:
         self._listened = now
         if self.quiet_s > self._patience_s:
             raise LinkLost(f"No EEG sample for {self.quiet_s:.0f} s. Look at the amplifier; what was recorded is kept.")
+        if self.is_to_be_asked and now - self._back_at > self._patience_s:
+            raise LinkLost(
+                f"The EEG is back, but in {self._patience_s:.0f} s its sender hasn't answered what it is and what its "
+                "clock says. Look at the firewall (UDP) of its computer; what was recorded is kept."
+            )
         if n_new and self.is_silent:
             self.is_silent, self._was_away, self._is_other_link = False, True, True
+            self._back_at = now
             self._delays.clear()
             self.n_reconnects += 1
             return [("info", f"The EEG is back after {before:.1f} s.")]
         if not self.is_silent and self.quiet_s > SILENCE_S:
             self.is_silent = self._is_short = True
-            self._is_clock_known = False
             self.n_silences += 1
             return [("error", f"No EEG sample for {SILENCE_S:g} s.")]
         return []
@@ -149,20 +160,18 @@ class Reception:
         if np.any(np.abs(steps) > self._most_moved_s):
             self._delays.clear()  # what came before tells nothing of how late samples come from here on
 
-    def _compare_clocks(self, newest: float, now: float, session_now: float) -> list[Remark]:
+    def _compare_clocks(self, newest: float, now: float, session_now: float, offset: float) -> list[Remark]:
         """Stamps are only worth something while what they say of now is what it was."""
-        if not self._is_clock_known:
-            return []
         self._delays.append((now, session_now - newest))
         while now - self._delays[0][0] > DELAY_S:
             self._delays.popleft()
-        if now - self._delays[0][0] < DELAY_S / 2:
+        if self._was_away or now - self._delays[0][0] < (RETURN_S if self._is_other_link else DELAY_S / 2):
             return []
-        delay = min(late for _, late in self._delays)
+        delay = min(late for _, late in self._delays) - offset * self._speed
         remarks: list[Remark] = []
-        if self._is_other_link and self._usual is not None:
+        was_other_link, self._is_other_link = self._is_other_link, False
+        if was_other_link and self._usual is not None:
             later = delay - self._usual - self.behind_s(now)
-            self._is_other_link = False
             if MOVED_S * self._speed < abs(later) < OTHER_S * self._speed:
                 self._usual += later
                 how = "later" if later > 0 else "earlier"

@@ -124,7 +124,7 @@ class Course:
         if found != "last":
             return None
         most, what = self._repeats.most[verdict.by_time], "EEG's connection" if verdict.by_time else "electrodes"
-        return f"{most} moves of block {self.block} had to be repeated; no more will be. Look at the {what}."
+        return f"{most} moves of block {self.block} had to be repeated; no more of these will be. Look at the {what}."
 
     def miss_verdicts(self) -> int:
         """Take those that stay away for valid; returns how many."""

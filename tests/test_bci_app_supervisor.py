@@ -20,15 +20,15 @@ from bci_app.wellness import HANGS_S
 from bci_app.xdf import Follower
 
 ROLES: tuple[Role, ...] = ("decoder", "policy", "stimulus")
-EEG = Recorded("amp", 100.0)
+EEG, SFREQ = "amp", 100.0
 
 
 class Run:
     """A run as its supervisor sees it."""
 
-    def __init__(self, folder: Path, session: str, remote: frozenset[Role] = frozenset(), lead_s: float = 0.0) -> None:
+    def __init__(self, folder: Path, session: str, remote: frozenset[Role] = frozenset(), speed: float = 1.0) -> None:
         self.real_s = 0.0
-        self.peer = Peer(SESSION, "session", session, session_clock())
+        self.peer = Peer(SESSION, "session", session, session_clock(speed))
         self.crew, self.heard = Crew(folder), Heard(ROLES)
         self.follower, self.attention = Follower(folder / "none.xdf"), Attention(lambda: self.real_s)
         self.supervisor = Supervisor(
@@ -39,7 +39,6 @@ class Run:
             self.crew,
             self.heard,
             self.follower,
-            lead_s,
             self.attention,
         )
 
@@ -63,12 +62,12 @@ class Run:
         while self.real_s < ends:
             self.real_s += 0.5
             self.attention.now()
-            self.follower.n_samples[EEG.source_id] += 50 if has_eeg else 0
+            self.follower.n_samples[EEG] += round(50 * self.peer.clock.speed) if has_eeg else 0
 
 
 @contextmanager
-def running(folder: Path, session: str, remote: frozenset[Role] = frozenset(), lead_s: float = 0.0) -> Iterator[Run]:
-    run = Run(folder, session, remote, lead_s)
+def running(folder: Path, session: str, remote: frozenset[Role] = frozenset(), speed: float = 1.0) -> Iterator[Run]:
+    run = Run(folder, session, remote, speed)
     try:
         yield run
     finally:
@@ -124,10 +123,13 @@ def test_the_stimulus_is_told_to_wait_and_to_go_on(tmp_path: Path) -> None:
         until(lambda: told.of("Command")[-1]["command"] == "resume", 10, "the command")
 
 
-def test_the_stimulus_waits_until_the_recorder_too_has_had_the_eeg_again_for_long_enough(tmp_path: Path) -> None:
+@pytest.mark.parametrize("speed", [1.0, 4.0])
+def test_the_stimulus_waits_until_the_recorder_too_has_had_the_eeg_again_for_long_enough(
+    tmp_path: Path, speed: float
+) -> None:
     """From when the first samples of its first batch were acquired, not from when they came into the file."""
-    with running(tmp_path, "lead", lead_s=1.25) as run:
-        run.supervisor.eeg = EEG
+    with running(tmp_path, "lead", speed=speed) as run:
+        run.supervisor.eeg = Recorded(EEG, SFREQ, 1.25 * speed)
         run.all_well()
         run.say("stimulus", opening())
         run.pass_s(2)

@@ -1,5 +1,7 @@
 """The reference chain, and that one matrix is the same chain."""
 
+from typing import Literal
+
 import mne
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from hypothesis import strategies as st
 
 from bci_app.config import ChainConfig, load
 from bci_app.errors import SetupError
-from decoder.chain import design, reference_features
+from decoder.chain import design, look_back_s, reference_features
 from decoder.operator import chain_operator, digest, features
 from decoder.spatial import common_average
 
@@ -31,6 +33,21 @@ def through_mne(raw: np.ndarray, sfreq: float, config: ChainConfig, windows: tup
     grid = mne.filter.filter_data(grid, config.sfreq, config.low_hz, config.high_hz, phase=phase, verbose="error")
     grid = grid - grid.mean(axis=0)
     return np.stack([grid[:, window].mean(axis=1) for window in windows], axis=1)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    low=st.sampled_from([0.1, 0.3, 0.5, 1.0, 1.7, 2.5, 4.0, 8.0]),
+    high=st.sampled_from([12.0, 20.0, 45.0, 50.0, 60.0]),
+    rate=st.sampled_from([128.0, 200.0, 250.0, 256.0]),
+    phase=st.sampled_from(["minimum", "linear"]),
+    sfreq=st.sampled_from(RATES),
+)
+def test_how_far_it_looks_back_is_known_without_designing_it(
+    low: float, high: float, rate: float, phase: Literal["minimum", "linear"], sfreq: float
+) -> None:
+    config = ChainConfig(low_hz=low, high_hz=high, sfreq=rate, phase=phase)
+    assert look_back_s(config, sfreq) == design(config, sfreq).n_before / sfreq
 
 
 @pytest.mark.parametrize("phase", ["minimum", "linear"])

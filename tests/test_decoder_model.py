@@ -70,6 +70,15 @@ def test_impossible_evidence_is_refused(file: Path, wrong: str) -> None:
         load(file)
 
 
+def test_half_a_file_is_never_left_under_its_name(model: DecoderModel, tmp_path: Path) -> None:
+    """A kill or a full disk in the middle of writing leaves a .partial, and the next fit can write."""
+    path = tmp_path / "d.safetensors"
+    path.with_name("d.safetensors.partial").write_bytes(b"half")
+    save(model, path)
+    assert load(path).info == model.info
+    assert [each.name for each in tmp_path.iterdir()] == [path.name]
+
+
 def test_it_is_never_overwritten(model: DecoderModel, file: Path) -> None:
     contents = file.read_bytes()
     with pytest.raises(SetupError, match="never overwritten"):

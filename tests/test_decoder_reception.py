@@ -15,9 +15,7 @@ SFREQ, ROUND_S = 250.0, 0.02
 
 
 def made(speed: float = 1.0, lead_s: float = 2.0) -> Reception:
-    reception = Reception("Amp", SFREQ, speed, lead_s, tolerance=0.01, patience_s=60.0)
-    reception.knows_its_clock()
-    return reception
+    return Reception("Amp", SFREQ, speed, lead_s, tolerance=0.01, patience_s=60.0)
 
 
 def rounds(began: float, seconds: float, off: float = 0.0, late: float = 0.04) -> Iterator[tuple[np.ndarray, float]]:
@@ -28,10 +26,13 @@ def rounds(began: float, seconds: float, off: float = 0.0, late: float = 0.04) -
         yield first + np.arange(n) / SFREQ + off, first + ROUND_S + late
 
 
-def play(reception: Reception, began: float, seconds: float, off: float = 0.0, late: float = 0.04) -> list[str]:
+def play(
+    reception: Reception, began: float, seconds: float, off: float = 0.0, late: float = 0.04, offset: float = 0.0
+) -> list[str]:
+    """What is said meanwhile; `offset` is what the stream's clock is known to be behind by."""
     remarks = []
     for stamps, now in rounds(began, seconds, off, late):
-        remarks += [text for _, text in reception.take(stamps, now, now)]
+        remarks += [text for _, text in reception.take(stamps, now, now, offset)]
     return remarks
 
 
@@ -109,13 +110,37 @@ def test_a_stream_that_was_away_may_come_over_another_link(late: float, says: st
     reception = made()
     play(reception, 0.0, 12.0, late=0.06)
     silence(reception, 12.1, 3.0)
-    told = play(reception, 15.1, 2.6, off=1e5, late=late)  # its clock isn't measured yet
+    told = play(reception, 15.1, 2.6, late=late)
     reception.is_what_it_was()
-    reception.knows_its_clock()
     told += play(reception, 17.7, 4.0, late=late)
     assert "is back" in told[0]
     assert (says in told[1]) if says else told[1:] == []
     assert (reception.lacks is None) == (late < 0.5)
+
+
+@pytest.mark.parametrize(("offset", "is_right"), [(-1e5, True), (-1e5 - 3, False), (0.0, False)])
+def test_the_session_waits_until_the_clock_of_a_stream_that_is_back_was_measured_and_compared(
+    offset: float, is_right: bool
+) -> None:
+    """Its computer was started anew: what its clock says is another time."""
+    reception = made()
+    play(reception, 0.0, 12.0)
+    silence(reception, 12.1, 3.0)
+    said = play(reception, 15.1, 4.0, off=1e5)  # what is known of its old clock tells nothing
+    assert len(said) == 1
+    assert reception.lacks == "for EEG from 'Amp'"
+    reception.is_what_it_was()
+    said += play(reception, 19.1, 0.1, off=1e5, offset=offset)
+    assert (reception.lacks is None) == is_right
+    assert any("time stamps have moved" in text for text in said) != is_right
+
+
+def test_a_stream_that_is_back_and_does_not_answer_ends_the_run() -> None:
+    reception = made()
+    play(reception, 0.0, 5.0)
+    silence(reception, 5.1, 3.0)
+    with pytest.raises(LinkLost, match="hasn't answered what it is"):
+        play(reception, 8.1, 61.0)
 
 
 def test_stamps_that_stay_off_end_the_run() -> None:

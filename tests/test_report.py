@@ -394,6 +394,7 @@ def test_what_went_wrong_is_told(whole: list[Recording]) -> None:
         Stamped(at + 11, LateFrame(episode=0, step=3, late_ms=17.0, **about)),
         Stamped(at + 12, LateFrame(episode=0, late_ms=4.0, **about)),
         Stamped(at + 13, Link(role="decoder", stream="Amp", age_s=0.0, gaps=2, reconnects=1, **about)),
+        Stamped(at + 13.5, Link(role="decoder", stream="Amp", age_s=0.0, gaps=1, reconnects=0, **about)),
         Stamped(at + 14, Pause(reason="The amplifier is gone.", **about)),
     ]
     ended = [item for item in whole[1].messages if not isinstance(item.message, SessionEnd)]
@@ -413,7 +414,7 @@ def test_what_went_wrong_is_told(whole: list[Recording]) -> None:
         "restart: The policy was started again.",
         "restart: The stimulus went on after step 2 of episode 1.",
         "late frame: 2 frames came late, 1 of them with a jump; the worst by 17.0 ms.",
-        "link: Stream Amp: gaps in its samples 2, times it was away 1.",
+        "link: Stream Amp: gaps in its samples 3, times it was away 1.",  # the decoder was started again
         "gap: The EEG has 1 gaps of a second or more, 4.0 s together.",
         "end: The recording has no end",
         "damage: 3 verdicts are missing.",

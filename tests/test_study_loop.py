@@ -184,6 +184,17 @@ def test_what_is_kept_of_another_study_is_refused(tmp_path: Path) -> None:
         Kept.of(study, study.participants[0], "one-process")
 
 
+def test_whoever_was_begun_with_other_settings_keeps_nobody_else_from_coming(tmp_path: Path) -> None:
+    both = [{"name": "P1", "decodability": 0.8, "seed": 3}, {"name": "P2", "decodability": 0.8, "seed": 4}]
+    before = small_study(tmp_path, participants=both)
+    Kept.of(before, before.participants[0], "one-process").save()
+    study = small_study(tmp_path, participants=both, seed=7, conditions=["none"])
+    told = running.run(study, "one-process", "P2", "local", None, lambda what, done, of: None)
+    assert set(told["participants"]) == {"P2"}
+    (lacking,) = told["unfinished"]
+    assert (lacking["participant"], "begun with other settings" in lacking["why"]) == ("P1", True)
+
+
 def test_a_part_that_fails_is_told_and_costs_nobody_else(tmp_path: Path) -> None:
     few = {**SMALL, "classifier": {"n_folds": 2, "min_per_class": 50}}
     study = small_study(tmp_path, config=few, conditions=["none"])

@@ -78,6 +78,17 @@ def test_what_a_participant_is_set_to_overrides_what_all_are() -> None:
     assert second.seed != first.seed
 
 
+def test_a_recording_counts_by_its_content_not_by_where_it_is(tmp_path: Path) -> None:
+    digests = []
+    for number, content in enumerate((b"one", b"one", b"two")):
+        path = tmp_path / str(number) / "hour.edf"
+        path.parent.mkdir()
+        path.write_bytes(content)
+        mine = study(participants=[{"name": "A1", "kind": "rehearsed", "recording": str(path)}])
+        digests.append(mine.digest(mine.participants[0]))
+    assert digests[0] == digests[1] != digests[2]
+
+
 def test_conditions_take_turns_in_being_first() -> None:
     mine = study(participants=[{"name": f"A{number}"} for number in range(6)])
     orders = [mine.schedule(who) for who in mine.participants]
@@ -92,4 +103,7 @@ def test_what_is_kept_depends_on_what_matters_and_on_nothing_else() -> None:
     assert study(speed=50, side_by_side=2, maps=["open"], conditions=["none"]).digest(who) == before.digest(who)
     assert study(seed=2).digest(who) != before.digest(who)
     assert before.digest(who) != before.digest(who.model_copy(update={"decodability": 0.81}))
+    moved = study(config={"eeg": {"stream_name": "LiveAmp"}, "stimulus": {"display": 1}})
+    assert moved.digest(who) == before.digest(who)
+    assert study(config={"eeg": {"stream_type": "ExG"}}).digest(who) != before.digest(who)
     assert before.run_seed("A1", "none open") != before.run_seed("A1", "ours open")

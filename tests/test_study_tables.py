@@ -136,6 +136,13 @@ def test_one_participant_is_paired_over_episodes() -> None:
     assert (row["condition"], row["map"], row["participants"], row["n_pairs"]) == ("ours", "open", 1, 19)
 
 
+def test_of_one_participant_there_is_no_interval_over_participants() -> None:
+    row = tables.headline([person("A1")], ("none", "ours"), ("open",), 0.7)[2]
+    assert (row["condition"], row["participants"]) == ("ours", 1)
+    assert row["steps_vs_none"] is not None
+    assert [row[name] for name in tables.OVER_PEOPLE] == [None] * len(tables.OVER_PEOPLE)
+
+
 def test_who_stopped_halfway_is_told_and_enters_only_what_is_whole() -> None:
     people = [person("A1"), person("A2"), person("A3", ours_obstacles=True)]
     people[2]["stopped"] = {"part": "ours obstacles", "why": "interrupted: Escape"}

@@ -50,7 +50,7 @@ class Listener:
         self._followed: set[str] = set()
         self._waits_for = f"session {session}" if session else "a session to begin"
         self.ended = threading.Event()
-        self.failure: SetupError | LinkLost | None = None
+        self.failure: Exception | None = None
         """Why it ended, if not because it was told to."""
 
     # What the page asks; from another thread.
@@ -82,8 +82,8 @@ class Listener:
     def run(self) -> None:
         """Listen until told to end; what goes wrong is kept in `failure`."""
         looked_at = -LOOK_EVERY_S
-        warm_up(self._config)
         try:
+            warm_up(self._config)
             while not self.ended.wait(POLL_S):
                 if self._parent is not None and os.name == "posix" and os.getppid() != self._parent:
                     raise LinkLost("The program that started this console is gone.")
@@ -93,7 +93,7 @@ class Listener:
                 if self._following is not None:
                     self._speak(self._following)
                     self._following.hear()
-        except (SetupError, LinkLost) as error:
+        except Exception as error:  # noqa: BLE001 (raised again by who waits for the end)
             self.failure = error
         finally:
             self.ended.set()

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -133,13 +134,21 @@ def _restarts(recording: Recording) -> Iterator[Event]:
 
 
 def _links(recording: Recording) -> Iterator[Event]:
-    newest: dict[tuple[str, str], tuple[float, Link]] = {}
+    """What a process tells of a stream counts from its own beginning: one that was started again counts anew."""
+    told: dict[tuple[str, str], list[tuple[float, Link]]] = {}
     for stamp, link in recording.of(Link):
-        newest[link.role, link.stream] = stamp, link
-    for (role, stream), (stamp, link) in newest.items():
-        if link.gaps or link.reconnects:
-            text = f"Stream {stream}: gaps in its samples {link.gaps}, times it was away {link.reconnects}."
-            yield stamp, "link", "warning", role, text
+        told.setdefault((link.role, link.stream), []).append((stamp, link))
+    for (role, stream), links in told.items():
+        gaps = _counted([link.gaps for _, link in links])
+        away = _counted([link.reconnects for _, link in links])
+        if gaps or away:
+            text = f"Stream {stream}: gaps in its samples {gaps}, times it was away {away}."
+            yield links[-1][0], "link", "warning", role, text
+
+
+def _counted(counts: Sequence[int]) -> int:
+    """All that was counted by a counter that may begin anew."""
+    return sum(before for before, after in pairwise(counts) if after < before) + counts[-1]
 
 
 def electrode_rows(recording: Recording, moves: Sequence[Row], **where: object) -> list[Row]:

@@ -6,9 +6,15 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
-FIRST_PORT, N_PORTS, N_RANGES = 17_000, 100, 150
+SHIPPED = files("bci_app") / "lsl_api.cfg"
+FIRST_PORT, N_PORTS, N_RANGES = 17_000, 48, 300
 """Ranges of ports a worker may have, by its process number; two workers of one study never share one, for their numbers
 are near each other (decided)."""
+
+
+def has_own_ports() -> bool:
+    """Whether workers get ports of their own: where the lab has no LSL settings."""
+    return os.environ.get("LSLAPICFG") == str(SHIPPED)
 
 
 @cache
@@ -17,11 +23,10 @@ def apart() -> str | None:
 
     Where the lab has LSL settings of its own, these are kept. Returns the settings' file.
     """
-    shipped = files("bci_app") / "lsl_api.cfg"
-    if os.environ.get("LSLAPICFG") != str(shipped):
+    if not has_own_ports():
         return None
     base = FIRST_PORT + os.getpid() % N_RANGES * N_PORTS
-    text = f"{shipped.read_text(encoding='utf-8')}[ports]\nBasePort = {base}\nPortRange = {N_PORTS}\n"
+    text = f"{SHIPPED.read_text(encoding='utf-8')}[ports]\nBasePort = {base}\nPortRange = {N_PORTS}\n"
     path = Path(tempfile.mkdtemp(prefix="bci-app-study-")) / "lsl_api.cfg"
     path.write_text(text, encoding="utf-8")
     os.environ["LSLAPICFG"] = str(path)

@@ -92,7 +92,12 @@ class _Conducted:
         if missing:
             try:
                 self._fit(config, seed, path, missing)
-            except SetupError:
+            except SetupError as error:
+                if self.who.is_real:  # a person's hour isn't thrown away for what may be a full disk
+                    raise SetupError(
+                        f"{error} The calibration is kept: {path}. To calibrate anew, take it out of 'recorded' in "
+                        f"{self.kept.path}."
+                    ) from error
                 self.kept.recorded.pop(part, None)  # no decoder can be had of it: the next time another is made
                 raise
         papers_info = model.load(self._decoder(PAPER)).info if PAPER in others else None

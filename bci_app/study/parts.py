@@ -45,12 +45,8 @@ class Kept:
     stopped: dict[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, study: Study, who: Participant, through: Through) -> Self:
-        """What is kept of a participant; nothing yet of one who hasn't begun.
-
-        Raises SetupError where that is of another study, or can't be read.
-        """
-        path = study.home / through / f"{who.name}.json"
+    def new(cls, study: Study, who: Participant, through: Through) -> Self:
+        """Of one who hasn't begun."""
         head = {
             "study": study.name,
             "participant": who.name,
@@ -59,8 +55,18 @@ class Kept:
             "published": who.published,
             "digest": study.digest(who),
         }
+        return cls(study.home / through / f"{who.name}.json", head)
+
+    @classmethod
+    def of(cls, study: Study, who: Participant, through: Through) -> Self:
+        """What is kept of a participant; nothing yet of one who hasn't begun.
+
+        Raises SetupError where that is of another study, or can't be read.
+        """
+        kept = cls.new(study, who, through)
+        path, head = kept.path, kept.head
         if not path.exists():
-            return cls(path, head)
+            return kept
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
             digest, parts, recorded, stopped = (found[name] for name in ("digest", "parts", "recorded", "stopped"))

@@ -1,6 +1,7 @@
 """The study file: who takes part, under which conditions, on which maps. A misspelt key, a participant twice and a
 missing recording are refused before anything starts."""
 
+import json
 import tomllib
 from collections import Counter
 from hashlib import sha256
@@ -14,6 +15,7 @@ from pydantic import ConfigDict, Field, ValidationError, field_validator, model_
 from bci_app.config import Config, Probability, Section, changed, validated
 from bci_app.errors import SetupError
 from bci_app.report import published
+from bci_app.runs import checksum
 
 Condition = Literal["none", "paper", "ours", "coin", "mute"]
 CONDITIONS: tuple[Condition, ...] = get_args(Condition)
@@ -31,7 +33,9 @@ SIMULATED_ONLY: tuple[Condition, ...] = ("mute",)
 SHIPPED = ("wang2022", "lab")
 PAPERS_GATE = 0.70
 """Cross-validated accuracy below which the paper sends participants home (V.A.5)."""
-FORMAT = 2
+OF_THE_LAB = ("eeg.stream_name", "eeg.source_id", "stimulus.display", "stimulus.set_up", "stimulus.photon_delay_ms")
+"""Settings that tell of a lab's equipment: it may change within a study."""
+FORMAT = 3
 """Of what is kept of participants. What another format keeps isn't taken for this one's."""
 Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9]+$")]
 
@@ -139,9 +143,22 @@ class Study(Section):
         return tuple((condition, name) for condition in self.conditions for name in self.maps)
 
     def digest(self, who: Participant) -> str:
-        """Of all that a participant's parts depend on: what is kept of another study isn't taken for this one's."""
-        common = f"{FORMAT} {self.model_dump_json(include={'seed', 'papers_gate', 'config'})}"
-        return sha256((common + who.model_dump_json(exclude={"published"})).encode()).hexdigest()[:16]
+        """Of all that a participant's parts depend on: what is kept of another study isn't taken for this one's.
+
+        Which amplifier and display the lab uses from now on isn't among it, and a recording counts by its content.
+        """
+        config = {
+            section: {key: value for key, value in values.items() if f"{section}.{key}" not in OF_THE_LAB}
+            if isinstance(values, dict)
+            else values
+            for section, values in self.config.items()
+        }
+        config = {section: values for section, values in config.items() if values != {}}
+        common = {"format": FORMAT, "seed": self.seed, "papers_gate": self.papers_gate, "config": config}
+        person = who.model_dump(mode="json", exclude={"published", "recording"})
+        recording = checksum(Path(who.recording)) if who.recording else None
+        words = json.dumps([common, person, recording], sort_keys=True, default=str)
+        return sha256(words.encode()).hexdigest()[:16]
 
     def schedule(self, who: Participant) -> tuple[tuple[Condition, str], ...]:
         """The online runs of a participant in the order in which they are made: conditions rotate from participant to

@@ -12,7 +12,7 @@ from bci_app.gridworld import load_map
 from bci_app.progress import Progress
 from bci_app.report import Row
 from bci_app.study import page, tables
-from bci_app.study.apart import apart
+from bci_app.study.apart import apart, has_own_ports
 from bci_app.study.conduct import go_through, names_of
 from bci_app.study.parts import Kept
 from bci_app.study.plan import Participant, Study, Through
@@ -21,6 +21,8 @@ from policy import cards, cluster
 SESSIONS_A_CORE, MOST_SESSIONS = 2.5, 10
 """Sessions side by side on one machine, unless `side_by_side` says otherwise: one takes a third of a core at speed 40,
 for half of its time it waits for its processes to start, find each other and end (measured)."""
+MOST_ON_THE_SAME_PORTS = 3
+"""Where the lab's own LSL settings hold: an online session has 8 streams, and LSL's usual ports are 32."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ def run(
     started = perf_counter()
     check_maps(study)
     wanted = [study.participant(person)] if person else [each for each in study.participants if not each.is_real]
-    before = {each.name: Kept.of(study, each, _through(each, through)) for each in study.participants}
+    before = {each.name: Kept.of(study, each, _through(each, through)) for each in wanted}
     left = [each for each in wanted if set(names_of(study, each)) - set(before[each.name].parts)]
     for who in [each for each in left if each.is_real]:
         go_through(study, who, "processes", progress)
@@ -101,7 +103,9 @@ def _side_by_side(study: Study, through: Through) -> int:
     cores = int(joblib.cpu_count())
     if study.side_by_side:
         return study.side_by_side
-    return min(MOST_SESSIONS, round(SESSIONS_A_CORE * cores)) if through == "processes" else cores
+    if through == "one-process":
+        return cores
+    return min(MOST_SESSIONS if has_own_ports() else MOST_ON_THE_SAME_PORTS, round(SESSIONS_A_CORE * cores))
 
 
 def _made(jobs: Sequence[Job], n: int, backend: str, scheduler: str | None) -> Iterator[dict[str, Any]]:
@@ -132,11 +136,17 @@ def _keep(study: Study, through: Through, made: dict[str, Any]) -> None:
 
 
 def people_of(study: Study, through: Through) -> list[tables.Person]:
-    """What is kept of each participant, in the study's order."""
+    """What is kept of each participant, in the study's order; of one that was begun with other settings only that."""
     found: list[tables.Person] = []
     for who in study.participants:
-        kept = Kept.of(study, who, _through(who, through))
-        found.append({**kept.head, "parts": kept.parts, "stopped": kept.stopped})
+        way = _through(who, through)
+        try:
+            kept = Kept.of(study, who, way)
+        except SetupError as error:
+            head = Kept.new(study, who, way).head
+            found.append({**head, "parts": {}, "stopped": {"part": "everything", "why": str(error)}})
+        else:
+            found.append({**kept.head, "parts": kept.parts, "stopped": kept.stopped})
     return found
 
 

@@ -41,6 +41,9 @@ def episodes(person: Person, condition: str, maps: Sequence[str]) -> list[Row]:
     return rows
 
 
+OVER_PEOPLE = ("mean_steps_low", "mean_steps_high", "steps_vs_none_low", "steps_vs_none_high", "p", "p_ranks")
+
+
 def compared(people: Sequence[Person], condition: str, against: str, maps: Sequence[str]) -> Row | None:
     """A condition over participants: success, mean steps, and steps against another condition.
 
@@ -115,12 +118,15 @@ def _papers_accuracy(person: Person) -> float:
 
 
 def headline(people: Sequence[Person], conditions: Sequence[str], maps: Sequence[str], papers_gate: float) -> list[Row]:
-    """Each condition by group of participants and map, and on all maps together."""
+    """Each condition by group of participants and map, and on all maps together. Of a single participant there are no
+    intervals and no tests over participants."""
     rows = []
     for group, those in groups(people, papers_gate).items():
         for condition in conditions:
             for name in (*maps, ALL):
                 found = compared(those, condition, conditions[0], maps if name == ALL else [name])
+                if found is not None and found["participants"] == 1:
+                    found |= dict.fromkeys(set(OVER_PEOPLE) & set(found))
                 if found is not None:
                     rows.append({"group": group, "condition": condition, "map": name, **found})
     return rows
