@@ -11,6 +11,7 @@ from bci_app.config import Config, changed
 from bci_app.errors import LinkLost, SetupError
 from bci_app.gridworld import load_map
 from bci_app.progress import Progress
+from bci_app.recording import Recording
 from bci_app.rehearsing import likeness_of
 from bci_app.runs import checksum
 from bci_app.study.conditions import choose, coin, papers
@@ -33,8 +34,9 @@ def go_through(study: Study, who: Participant, through: Through, progress: Progr
     """
     kept = Kept.of(study, who, through)
     kept.stopped = {}
-    way: Way = InOneProcess() if through == "one-process" else ThroughProcesses(not who.is_real, study.speed, progress)
-    conducted = _Conducted(study, who, way, kept)
+    alone = InOneProcess()
+    way: Way = alone if through == "one-process" else ThroughProcesses(not who.is_real, study.speed, progress)
+    conducted = _Conducted(study, who, way, alone if "mute" in study.in_one_process else way, kept)
     try:
         conducted.all()
     except (SetupError, LinkLost, Stopped) as error:
@@ -57,6 +59,7 @@ class _Conducted:
     study: Study
     who: Participant
     way: Way
+    mutes: Way
     kept: Kept
     part: str = CALIBRATION
 
@@ -79,6 +82,7 @@ class _Conducted:
 
     def _calibrate(self, part: str, config: Config, visit: str) -> None:
         self.part = part
+        way = self.mutes if part == MUTE else self.way
         seed = self.study.run_seed(self.who.name, part)
         target = self._decoder(part)
         others = [] if part == MUTE else [PAPER, *([COIN] if "coin" in self.study.conditions else [])]
@@ -86,12 +90,12 @@ class _Conducted:
         if part in self.kept.parts and not missing:
             return
         if part not in self.kept.parts and part not in self.kept.recorded:
-            self.kept.recorded[part] = self.way.calibrate(config, self.who.name, visit, seed)
+            self.kept.recorded[part] = way.calibrate(config, self.who.name, visit, seed)
             self.kept.save()
         path = self.kept.recorded.get(part) or self.kept.parts.get(part, {}).get("recording", "")
         if missing:
             try:
-                self._fit(config, seed, path, missing)
+                self._fit(way.recording(config, self.who.name, seed, path), config, seed, path, missing)
             except SetupError as error:
                 if self.who.is_real:  # a person's hour isn't thrown away for what may be a full disk
                     raise SetupError(
@@ -103,9 +107,8 @@ class _Conducted:
         papers_info = model.load(self._decoder(PAPER)).info if PAPER in others else None
         self.kept.done(part, of_calibration(model.load(target).info, papers_info, target, path))
 
-    def _fit(self, config: Config, seed: int, path: str, missing: list[str]) -> None:
+    def _fit(self, recording: Recording, config: Config, seed: int, path: str, missing: list[str]) -> None:
         """Make the files of the decoders that are missing."""
-        recording = self.way.recording(config, self.who.name, seed, path)
         sha256 = checksum(Path(path)) if path else ""
         epochs, result, fitted = fitting.decoder_of(recording, self.who.name, config, sha256)
         for name in missing:
@@ -126,7 +129,8 @@ class _Conducted:
         info = model.load(decoder).info
         choice = choose(condition, info, config.policy, self.study.papers_gate, world)
         seed = self.study.run_seed(self.who.name, self.part)
-        recording, path = self.way.online(config, self.who.name, condition.upper(), seed, map_name, decoder, choice)
+        way = self.mutes if condition == "mute" else self.way
+        recording, path = way.online(config, self.who.name, condition.upper(), seed, map_name, decoder, choice)
         said = {"condition": condition, "map": world.name, "policy": choice.name, "why": choice.reason}
         self.kept.done(self.part, said | {"listens": choice.listens} | of_online(recording, path))
 

@@ -58,6 +58,8 @@ def _first(
     kinds = [person["kind"] for person in people]
     who = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
     how = "the real processes over LSL" if through == "processes" else "the same functions in one process, without LSL"
+    if study.in_one_process and through == "processes":
+        how += f", but for {', '.join(study.in_one_process)} in one process"
     lines = [f"{len(people)} participants ({who}), through {how}. Every condition has the same episodes."]
     for row in rows:
         if row["group"] == tables.ALL and row["map"] == tables.ALL and row["condition"] != study.conditions[0]:

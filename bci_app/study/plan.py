@@ -100,6 +100,8 @@ class Study(Section):
     """Simulated participants at a time; 0 for as many as the cores allow."""
     conditions: Annotated[tuple[Condition, ...], Field(min_length=1)] = ("none", "paper", "ours")
     """What is compared, each participant with each; the first is the one the others are compared with."""
+    in_one_process: tuple[Literal["mute"], ...] = ()
+    """Conditions that always go through one process: a control with a calibration of its own tells nothing of LSL."""
     maps: Annotated[tuple[str, ...], Field(min_length=1)] = ("open", "obstacles")
     """Maps, shipped or files, on each of which every condition has its episodes."""
     papers_gate: Probability = PAPERS_GATE
