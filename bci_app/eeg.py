@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import dataclass
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,12 @@ class EegDescription:
     units: tuple[str, ...]
     types: tuple[str, ...]
     sfreq: float
+
+    @property
+    def fingerprint(self) -> str:
+        """First 16 hex digits of the SHA-256 of what mustn't change within a run: all but the computer it comes from."""
+        told = (self.name, self.source_id, self.channels, self.units, self.types, self.sfreq)
+        return sha256(repr(told).encode()).hexdigest()[:16]
 
     @property
     def picks(self) -> NDArray[np.int64]:

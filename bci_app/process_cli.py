@@ -101,11 +101,12 @@ def decoder(
     origin: OriginOption = None,
     parent: ParentOption = None,
     returning: ReturningOption = False,
+    eeg: Annotated[str | None, typer.Option("--eeg", hidden=True)] = None,
 ) -> None:
     """Turn EEG and move onsets into verdicts."""
     from decoder import process
 
-    process.run(_prepare(config), session, session_clock(speed, origin), model, parent, returning)
+    process.run(_prepare(config), session, session_clock(speed, origin), model, parent, returning, eeg)
 
 
 def policy(

@@ -218,7 +218,7 @@ class _Conductor:
         specs += [AMPLIFIER_NOTES] if self.plan.simulate else []
         streams = [{"source_id": spec.source_id(self.session)} for spec in specs]
         streams.append({"name": eeg.name, "type": self.config.eeg.stream_type, "source_id": eeg.source_id})
-        self.supervisor.eeg = Recorded(eeg.source_id, eeg.sfreq, self._lead_s(eeg.sfreq))
+        self.supervisor.eeg = Recorded(eeg.source_id, eeg.sfreq, eeg.fingerprint, self._lead_s(eeg.sfreq))
         recorder = self.recorder = Recorder(self.plan.run.xdf, streams)
         recorder.start()
         sources = [stream["source_id"] for stream in streams if stream["source_id"] not in self._silent_sources()]

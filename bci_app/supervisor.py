@@ -53,12 +53,13 @@ class Recorded:
 
     Attributes
     ----------
-    source_id, sfreq : of the stream; Hz.
+    source_id, sfreq, fingerprint : of the stream; Hz.
     lead_s : session seconds of it that must be recorded, without a gap, when the stimulus goes on.
     """
 
     source_id: str
     sfreq: float
+    fingerprint: str
     lead_s: float
 
 
@@ -199,7 +200,10 @@ class Supervisor:
             specs = [spec for spec in STREAMS if spec.role == role and (has_begun or spec.kind == "Events")]
             self._awaited |= {spec.source_id(self._peer.session): -1 for spec in specs}
         is_returning = has_begun and role != "amplifier"
-        self._crew.start(role, [*self._arguments(role), *(["--returning"] if is_returning else [])])
+        words = ["--returning"] if is_returning else []
+        if role == "decoder" and self.eeg is not None:
+            words += ["--eeg", self.eeg.fingerprint]  # another amplifier's may be there by now
+        self._crew.start(role, [*self._arguments(role), *words])
 
     def _answer(self) -> None:
         """Tell those who have returned what they missed, once all that was said before they were connected is here.

@@ -66,10 +66,12 @@ def run(
     model_path: Path | None,
     parent: int | None = None,
     returning: bool = False,
+    fingerprint: str | None = None,
 ) -> None:
     """Serve one session, from the first sample to the verdict on its last move.
 
-    When it is `returning` the session has begun already, with a decoder that is gone.
+    When it is `returning` the session has begun already, with a decoder that is gone; `fingerprint` is then that of the
+    stream which that one heard.
 
     Raises SetupError for an EEG stream that is missing, ambiguous or doesn't fit.
     """
@@ -78,6 +80,11 @@ def run(
     # One that takes a dead one's place may come while the amplifier is away.
     patience = config.eeg.patience_s if returning else FIND_S
     eeg = EegInlet(_find(config, peer, patience), config.eeg.buffer_s)
+    if fingerprint not in (None, eeg.description.fingerprint):
+        raise SetupError(
+            f"Stream '{eeg.description.name}' isn't what the run began with: name, source id, channels, units or rate "
+            "have changed. Restore the amplifier's settings and start the run again; what was recorded is kept."
+        )
     judge = (
         judge_with(model, config, eeg.description, session)
         if model

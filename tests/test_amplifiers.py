@@ -167,6 +167,14 @@ def test_missing_channels_are_refused_and_reordered_ones_mended(tmp_path: Path, 
         assert "action" in found["a verdict is soon there"]["text"]
 
 
+def test_a_decoder_that_is_started_again_refuses_another_amplifier(tmp_path: Path) -> None:
+    words = ("decoder", "--session", "again", "--config", named(tmp_path, "AmpAgain"), "--returning", "--eeg")
+    with closing(ForeignAmplifier("AmpAgain")) as amplifier, process(*words, "0123456789abcdef") as decoder:
+        until(lambda: decoder.poll() is not None, 40, "the refusal", amplifier.play)
+        assert decoder.returncode == 2
+        assert "Stream 'AmpAgain' isn't what the run began with" in decoder.communicate()[1]
+
+
 @pytest.mark.trouble("pylsl #88: the loss of a stream is invisible; liblsl #201, #220: and closing it then hangs")
 def test_an_amplifier_that_fails_in_the_middle_ends_the_decoder(tmp_path: Path) -> None:
     """One drifts, one dies, one comes back with another cap, and each decoder says which."""

@@ -129,7 +129,7 @@ def test_the_stimulus_waits_until_the_recorder_too_has_had_the_eeg_again_for_lon
 ) -> None:
     """From when the first samples of its first batch were acquired, not from when they came into the file."""
     with running(tmp_path, "lead", speed=speed) as run:
-        run.supervisor.eeg = Recorded(EEG, SFREQ, 1.25 * speed)
+        run.supervisor.eeg = Recorded(EEG, SFREQ, "", 1.25 * speed)
         run.all_well()
         run.say("stimulus", opening())
         run.pass_s(2)
