@@ -48,7 +48,7 @@ class EegDescription:
 
     @property
     def fingerprint(self) -> str:
-        """First 16 hex digits of the SHA-256 of what mustn't change within a run: all but the computer it comes from."""
+        """First 16 hex digits of the SHA-256 of what mustn't change within a run: all but where it comes from."""
         told = (self.name, self.source_id, self.channels, self.units, self.types, self.sfreq)
         return sha256(repr(told).encode()).hexdigest()[:16]
 
