@@ -46,8 +46,6 @@ from bci_app.supervisor import STREAM_OF, Recorded, Supervisor
 from bci_app.verifying import verify
 from bci_app.vigil import GROW_TIMEOUT_S, Vigil
 from bci_app.xdf import Follower
-from decoder.chain import look_back_s
-from decoder.timeline import MAX_JITTER
 
 READY_TIMEOUT_S = 90.0
 """Real seconds all processes may take to be ready (the slowest loads torch)."""
@@ -150,6 +148,9 @@ class _Conductor:
 
     def _lead_s(self, sfreq: float) -> float:
         """Session seconds of EEG that must be recorded before a pause ends: the rest comes until the next move."""
+        from decoder.chain import look_back_s  # with SciPy, which no other process of the loop but the decoder's needs
+        from decoder.timeline import MAX_JITTER
+
         stimulus = self.config.stimulus
         until_move = stimulus.rest_s + stimulus.countdown_s
         return max(0.0, look_back_s(self.config.chain, sfreq) - until_move) + MAX_JITTER
