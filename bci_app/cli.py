@@ -33,7 +33,7 @@ class Verbs(TyperGroup):
             typer.echo(f"Error: {error}", err=True)
             raise typer.Exit(error.exit_code) from error
         except KeyboardInterrupt as interrupt:
-            typer.echo("Interrupted.", err=True)
+            typer.echo(f"Interrupted. {interrupt}".strip(), err=True)
             raise typer.Exit(INTERRUPTED) from interrupt
 
 

@@ -81,8 +81,10 @@ def conduct(plan: Plan, progress: Progress) -> tuple[Outcome, Recording]:
     try:
         conductor.prepare()
         conductor.watch()
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:
         conductor.interrupt()
+        if conductor.heard.start is not None:
+            interrupt.args = (f"What was recorded until then is {plan.run.xdf}; the same with --resume goes on.",)
         raise
     except (SetupError, LinkLost) as error:
         conductor.fail(str(error))

@@ -201,7 +201,9 @@ def test_ctrl_c_closes_the_recording(tmp_path: Path, moment: str) -> None:
             until(lambda: path.stat().st_size > size + 3_000_000, 60, "some seconds of EEG")
         running.send_signal(signal.SIGINT)
         assert running.wait(60) == 130
-        assert "Traceback" not in running.communicate()[1]
+        said = running.communicate()[1]
+        assert "Traceback" not in said
+        assert ("--resume goes on" in said) == (moment == "while running")
     told = read_sidecar(sidecar.with_suffix(".xdf"))
     assert told["state"] == "closed"
     if moment == "while running":
