@@ -16,6 +16,7 @@ from bci_app.config import Config, Probability, Section, changed, validated
 from bci_app.errors import SetupError
 from bci_app.report import published
 from bci_app.runs import checksum
+from bci_app.study import mistakes
 
 Condition = Literal["none", "paper", "ours", "coin", "mute"]
 CONDITIONS: tuple[Condition, ...] = get_args(Condition)
@@ -67,14 +68,22 @@ class Participant(Section):
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
-        if (self.kind == "rehearsed") != (self.recording is not None):
+        if self.kind == "rehearsed" and self.recording is None:
             raise ValueError(
-                f"participant {self.name}: `recording` belongs to a rehearsed participant, and to no other"
+                "'recording' is missing: a rehearsed participant is learnt from one. Name a calibration (.xdf), or the "
+                "person's file that `bci-app rehearse` wrote"
+            )
+        if self.kind != "rehearsed" and self.recording is not None:
+            raise ValueError(
+                f"'recording' belongs to a rehearsed participant, and this one is {self.kind}. Set kind = 'rehearsed' "
+                "or leave it out"
             )
         if self.kind != "simulated" and self.decodability is not None:
-            raise ValueError(f"participant {self.name}: only a simulated participant has a `decodability`")
+            raise ValueError(
+                f"only a simulated participant has a 'decodability', and this one is {self.kind}. Leave it out"
+            )
         if self.published is not None and self.published not in published.PEOPLE:
-            raise ValueError(f"participant {self.name}: `published` must be one of {', '.join(published.PEOPLE)}")
+            raise ValueError(f"'published' must be one of {', '.join(published.PEOPLE)}, found {self.published!r}")
         return self
 
     @property
@@ -122,14 +131,24 @@ class Study(Section):
     @model_validator(mode="after")
     def _fits(self) -> Self:
         # Names differ in more than case, for some disks take P01 and p01 for one file.
-        doubled = [name for name, n in Counter(each.name.lower() for each in self.participants).items() if n > 1]
-        if doubled:
-            raise ValueError(f"participant {', '.join(doubled)} is there twice")
+        alike: dict[str, list[str]] = {}
+        for each in self.participants:
+            alike.setdefault(each.name.lower(), []).append(each.name)
+        for names in alike.values():
+            if len(set(names)) > 1:
+                raise ValueError(
+                    f"participants {' and '.join(dict.fromkeys(names))} differ only in upper and lower case, which "
+                    "some disks take for the same. Rename one"
+                )
+            if len(names) > 1:
+                raise ValueError(f"participant {names[0]} is there twice. Rename one")
         stems = Counter(Path(name).stem for name in self.maps)
         if max(stems.values()) > 1:
             raise ValueError(f"maps need names of their own: {stems.most_common(1)[0][0]} is there twice")
         if self.conditions[0] != "none" and len(self.conditions) > 1:
-            raise ValueError("conditions must begin with none, which the others are compared with")
+            raise ValueError(
+                f"conditions must begin with none, which the others are compared with; found {self.conditions[0]}"
+            )
         if any(each.is_real for each in self.participants) and set(self.conditions) & set(SIMULATED_ONLY):
             raise ValueError(f"people can't be had without an ErrP: leave out condition {', '.join(SIMULATED_ONLY)}")
         return self
@@ -222,7 +241,8 @@ def parse(values: dict[str, Any], where: str) -> Study:
     try:
         study = Study.model_validate(values)
     except ValidationError as error:
-        raise SetupError(f"Study '{where}': {_sentences(error)}") from error
+        said = mistakes.sentences(error, values, list(Study.model_fields), list(Participant.model_fields))
+        raise SetupError(f"Study '{where}': {said}. See docs/study.md for what a study file holds.") from error
     for who in study.participants:
         study.settings(who)
     return study
@@ -239,15 +259,3 @@ def _with_paths(study: Study, folder: Path) -> Study:
             who = who.model_copy(update={"recording": str(path)})
         found.append(who)
     return study.model_copy(update={"participants": tuple(found)})
-
-
-def _sentences(error: ValidationError) -> str:
-    said = []
-    for each in error.errors():
-        where = ".".join(str(part) for part in each["loc"])
-        if each["type"] == "extra_forbidden":
-            said.append(f"unknown key '{where}'")
-        else:
-            text = each["msg"].removeprefix("Value error, ")
-            said.append(f"{where}: {text}" if where else text)
-    return f"{'; '.join(said)}. See docs/study.md for what a study file holds."
