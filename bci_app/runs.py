@@ -10,6 +10,7 @@ from importlib.metadata import version
 from itertools import count
 from os import urandom
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 from zlib import crc32
 
@@ -82,13 +83,40 @@ def check_label(value: str, what: str) -> str:
     return value
 
 
+def why_not_writable(folder: Path) -> str:
+    """Why no file can be made in a folder; empty where one can. Trying is the only way: rights don't tell all."""
+    try:
+        with TemporaryFile(dir=folder):
+            return ""
+    except OSError as error:
+        return error.strerror or str(error)
+
+
+def _check_alike(folder: Path, name: str) -> None:
+    """Raise SetupError where a new folder's name would differ from one that is there only in upper and lower case:
+    Windows and macOS take the two for one."""
+    try:
+        there = {path.name for path in folder.iterdir()}
+    except OSError:  # there is none yet, or it can't be had, which making the new one will tell
+        return
+    alike = [each for each in there if each.lower() == name.lower()]
+    if alike and name not in alike:
+        raise SetupError(
+            f"{folder / alike[0]} is there already, and {name} would differ from it only in upper and lower case: on "
+            "Windows and macOS both are one folder. Write the name as it was, or choose another."
+        )
+
+
 def new_run(folder: Path, participant: str, visit: str, task: str) -> Run:
     """The first run number whose files don't exist yet; makes its folders.
 
-    Raises SetupError for a bad label or a folder that can't be written.
+    Raises SetupError for a bad label, one that differs from another only in upper and lower case, or a folder that
+    can't be written.
     """
     check_label(participant, "--participant")
     check_label(visit, "--visit")
+    _check_alike(folder, f"sub-{participant}")
+    _check_alike(folder / f"sub-{participant}", f"ses-{visit}")
     for number in count(1):
         run = Run(folder, participant, visit, task, number)
         # Two that begin at the same moment both find it free, and one of them makes the folder.

@@ -42,3 +42,18 @@ def test_a_sidecar_is_replaced_whole(tmp_path: Path) -> None:
     runs.write_sidecar(runs.sidecar_of(path), {"state": "closed"})
     assert runs.read_sidecar(path) == {"state": "closed"}
     assert [file.name for file in tmp_path.iterdir()] == ["x_eeg.json"]
+
+
+def test_names_that_differ_only_in_case_are_one_folder_elsewhere_and_refused(tmp_path: Path) -> None:
+    runs.new_run(tmp_path, "P001", "S001", "calibration")
+    for participant, visit, found in (("p001", "S001", "sub-P001"), ("P001", "s001", "ses-S001")):
+        with pytest.raises(SetupError, match=f"{found} is there already, and .* only in upper and lower case"):
+            runs.new_run(tmp_path, participant, visit, "calibration")
+    assert [path.name for path in tmp_path.iterdir()] == ["sub-P001"]
+    runs.new_run(tmp_path, "P0010", "S001", "calibration")
+
+
+def test_a_folder_is_tried_before_the_work(tmp_path: Path) -> None:
+    assert not runs.why_not_writable(tmp_path)
+    assert not list(tmp_path.iterdir())
+    assert runs.why_not_writable(tmp_path / "absent")

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
@@ -12,6 +11,7 @@ from bci_app.errors import SetupError
 from bci_app.progress import Progress
 from bci_app.report import Row, Tables, contents, merged, page, sources, study, visits
 from bci_app.report.drawing import Written, write
+from bci_app.runs import why_not_writable
 
 
 def make(paths: Sequence[Path], out: Path | None, allow_damage: bool, progress: Progress) -> dict[str, Any]:
@@ -94,9 +94,10 @@ def _folder(out: Path | None, files: Sequence[Path], wanted: Sequence[sources.Vi
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise SetupError(f"{folder} is there already, and nothing is overwritten. Name a new folder with --out.")
     inside = next(each for each in (folder.absolute(), *folder.absolute().parents) if each.exists())
-    if not inside.is_dir() or not os.access(inside, os.W_OK):
+    why = why_not_writable(inside)
+    if why:
         raise SetupError(
-            f"Can't write the report into {folder}: {inside} isn't a folder that may be written into. "
+            f"Can't write the report into {folder}: {inside} isn't a folder that may be written into ({why}). "
             "Choose another --out."
         )
     return folder
