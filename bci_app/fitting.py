@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from bci_app.config import Config
 from bci_app.errors import SetupError
-from bci_app.joining import joined
+from bci_app.joining import joined, lacks
 from bci_app.lookout import Seen
 from bci_app.metrics import truths
 from bci_app.moves import Key, Move, cut_moves, electrodes, judges
 from bci_app.ocular import Learnt, learn, sources
 from bci_app.progress import Progress
 from bci_app.recording import Recording, read, read_run
-from bci_app.runs import checksum
+from bci_app.runs import checksum, why_not_writable
 from decoder import calibration, learning_curve, model
 from decoder.chain import design
 from decoder.epochs import Epoch, Rejection
@@ -34,9 +34,11 @@ def fit(paths: Sequence[Path], config: Config, allow_damage: bool, progress: Pro
 
     Several are the runs of one that was broken off and gone on with.
 
-    Returns ``calibration`` (n_moves, n_valid, accuracy, balanced_accuracy, auc, evidence ...) and ``model``, the file's
-    path. Raises SetupError when the recording is unusable or holds too few valid epochs.
+    Returns ``calibration`` (n_moves, n_valid, accuracy, balanced_accuracy, auc, evidence ...), ``notes``, what it lacks
+    where it was broken off, and ``model``, the file's path.
+    Raises SetupError when the recording is unusable or holds too few valid epochs, or no file can be made beside it.
     """
+    _check_files(paths)
     progress("reading the recording", 0, 3)
     recording, participant = read_calibrations(paths, allow_damage)
     progress("cutting epochs and cross-validating", 1, 3)
@@ -46,7 +48,30 @@ def fit(paths: Sequence[Path], config: Config, allow_damage: bool, progress: Pro
     target = _free_name(paths[-1])
     model.save(fitted, target)
     progress("done", 3, 3)
-    return {"participant": participant, "calibration": figures, "advice": _advice(result, config), "model": str(target)}
+    return {
+        "participant": participant,
+        "notes": lacks(paths, recording, len(epochs.error)),
+        "calibration": figures,
+        "advice": _advice(result, config),
+        "model": str(target),
+    }
+
+
+def _check_files(paths: Sequence[Path]) -> None:
+    """Raise SetupError for what is known before the work: a folder instead of a file, and nowhere to put a decoder."""
+    for path in paths:
+        if path.is_dir():
+            found = sorted(map(str, path.rglob("*_task-calibration_*_eeg.xdf")))
+            more = f" and {len(found) - 10} more" if len(found) > 10 else ""
+            listed = f"In it are {', '.join(found[:10])}{more}: name one" if found else "There is no calibration in it"
+            raise SetupError(f"{path} is a folder; expected the recording of a calibration (.xdf). {listed}.")
+    folder = paths[-1].parent
+    why = why_not_writable(folder) if folder.is_dir() else ""
+    if why:
+        raise SetupError(
+            f"Can't write a decoder into {folder}: {why}. Unlock the folder, or fit a copy of the recording and its "
+            ".json in another one."
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 FORMAT_VERSION: Literal[4] = 4
 SUFFIX = ".safetensors"
 _KEY = "bci-app decoder"
+_RECORDING = b"XDF:"
+"""How a recording begins."""
 _LIBRARIES = ("numpy", "scipy", "scikit-learn", "mne", "errp-bci")
 
 
@@ -152,7 +154,7 @@ def save(model: DecoderModel, path: Path) -> None:
             f"There is a decoder {path} already, and decoders are never overwritten. Choose another name or move it."
         ) from error
     except OSError as error:
-        raise SetupError(f"Can't write the decoder {path}: {error}.") from error
+        raise SetupError(f"Can't write the decoder {path}: {error.strerror}. Free or unlock the disk.") from error
 
 
 def _create(path: Path, contents: bytes) -> None:
@@ -177,6 +179,11 @@ def load(path: Path) -> DecoderModel:
         contents = path.read_bytes()
     except OSError as error:
         raise SetupError(f"Can't read the decoder {path}: {error}. Calibrate first, or give another path.") from error
+    if contents.startswith(_RECORDING):
+        raise SetupError(
+            f"{path} is a recording, not a decoder. `bci-app fit` of a calibration writes one beside it "
+            f"(..._decoder{SUFFIX}): name that."
+        )
     try:
         # A damaged file is told from one of an older format, which has no checksum.
         info = ModelInfo.model_validate_json(_metadata(contents))

@@ -1,17 +1,23 @@
 """What a fit tells beside cross-validation."""
 
+import json
+import re
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded_by_hand import Wish, without, write
+from recorded_by_hand import recording as by_hand
 
 from bci_app.config import Config, validated
 from bci_app.eeg import EegDescription
-from bci_app.fitting import Labelled, _by_block, _session, _used, labelled
+from bci_app.errors import SetupError
+from bci_app.fitting import Labelled, _by_block, _session, _used, fit, labelled
+from bci_app.joining import joined, lacks
 from bci_app.ocular import Learnt
-from bci_app.protocol import Electrodes, MoveOnset, Truth
-from bci_app.recording import Recording, Stamped
+from bci_app.protocol import Electrodes, MoveOnset, SessionEnd, Truth
+from bci_app.recording import Recording, Stamped, read
 from decoder.calibration import calibrate
 from decoder.eyes import Eyes
 from decoder.participant import Participant
@@ -103,3 +109,55 @@ def test_a_decoder_asks_for_eog_channels_only_where_it_uses_them() -> None:
     eyes = Eyes(np.zeros((1, 3)), np.zeros((3, 1)))
     assert _used(["Fz", "VEOG", "Cz"], None) == ["Fz", "Cz"]
     assert _used(["Fz", "VEOG", "Cz"], eyes) == ["Fz", "VEOG", "Cz"]
+
+
+CALIBRATION = "sub-P001_ses-S001_task-calibration_run-{:03d}_eeg.xdf"
+
+
+def quiet(_what: str, _done: int, _total: int) -> None:
+    pass
+
+
+def put(folder: Path, number: int, whole: Recording, **told: object) -> Path:
+    """A run of a calibration that was to have 600 valid moves."""
+    path = write(whole, folder / CALIBRATION.format(number))
+    planned = {"calibration": {"n_blocks": 5, "moves_per_block": 120}}
+    path.with_suffix(".json").write_text(json.dumps({"config": planned, **told}), encoding="utf-8")
+    return path
+
+
+def test_a_calibration_that_was_broken_off_says_what_it_lacks(tmp_path: Path) -> None:
+    whole = by_hand(Wish())
+    first = put(tmp_path, 1, without(whole, SessionEnd))
+    fitted = fit([first], Config(), False, quiet)
+    n = fitted["calibration"]["n_valid"]
+    (said,) = fitted["notes"]
+    assert f"was broken off: it holds {n} valid moves of the 600 that were planned" in said
+    assert "--resume goes on with it" in said
+    # Whoever has gone on with it is told of the other run, from either side.
+    second = put(tmp_path, 2, whole, continues=[first.name], reason="complete")
+    for path in (first, second):
+        (said,) = lacks([path], read(path), 50)
+        assert "a part of a calibration, 50 valid moves of the 600" in said
+        assert said.endswith(f"Fit its runs together: bci-app fit {first} {second}")
+    assert lacks([first, second], joined([read(first), read(second)]), 150) == []
+    # One that was whole once, and one that lacks its last word only.
+    (said,) = lacks([put(tmp_path / "cut", 1, without(whole, SessionEnd), reason="complete")], read(first), 50)
+    assert "The end of the calibration is missing" in said
+    assert lacks([put(tmp_path / "all", 1, without(whole, SessionEnd))], read(first), 600) == []
+
+
+def test_a_folder_is_no_recording_and_its_calibrations_are_listed(tmp_path: Path) -> None:
+    with pytest.raises(SetupError, match=r"is a folder; expected .*\(\.xdf\)\. There is no calibration in it"):
+        fit([tmp_path], Config(), False, quiet)
+    path = tmp_path / "sub-P001" / CALIBRATION.format(1)
+    path.parent.mkdir()
+    path.touch()
+    with pytest.raises(SetupError, match=re.escape(f"In it are {path}: name one.")):
+        fit([tmp_path], Config(), False, quiet)
+
+
+@pytest.mark.skipif(not Path("/proc/version").exists(), reason="no folder that nobody may write into")
+def test_a_folder_that_cant_be_written_is_told_before_anything_is_read() -> None:
+    with pytest.raises(SetupError, match="Can't write a decoder into /proc: .* Unlock the folder"):
+        fit([Path("/proc/version")], Config(), False, quiet)

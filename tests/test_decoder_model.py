@@ -155,3 +155,12 @@ def test_the_montage_is_symmetric_and_known() -> None:
     assert where["T8"][0] > 0.9
     np.testing.assert_allclose(where["C3"] * (-1, 1, 1), where["C4"], atol=0.1)
     assert np.isnan(directions(["EOG"])).all()
+
+
+def test_a_recording_is_told_to_be_one(tmp_path: Path) -> None:
+    path = tmp_path / "sub-P001_ses-S001_task-calibration_run-001_eeg.xdf"
+    path.write_bytes(b"XDF:\x01\x02")
+    with pytest.raises(
+        SetupError, match=r"is a recording, not a decoder\. `bci-app fit` .*_decoder\.safetensors\): name that"
+    ):
+        load(path)
