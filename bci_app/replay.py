@@ -18,7 +18,7 @@ from bci_app.moves import cut_moves, electrodes, judges
 from bci_app.progress import Progress
 from bci_app.protocol import Action, Electrodes, EpisodeEnd, EpisodeStart, MoveOnset, SessionStart, Verdict
 from bci_app.recording import Recording, read_run
-from bci_app.runs import checksum
+from bci_app.runs import checksum, sidecar_of
 from bci_app.told import Told
 
 Key = tuple[int, int]
@@ -52,8 +52,10 @@ def replay(
     """Replay a recording and compare.
 
     Returns ``replay``, of ``electrodes``, ``verdicts`` and ``actions`` how many there are, how many are equal
-    (``..._equal``) and how many of these were taken over (``..._taken_over``), ``seconds``, and ``differences``, the
-    first few in words. Raises SetupError for an unusable recording, or a model or policy that isn't the run's.
+    (``..._equal``) and how many of these were taken over (``..._taken_over``), ``seconds``, ``notes``, how much of a damaged
+    run wasn't replayed, and ``differences``, the first few in words.
+
+    Raises SetupError for an unusable recording, or a model or policy that isn't the run's.
     """
     started = perf_counter()
     progress("reading the recording", 0, 3)
@@ -69,9 +71,11 @@ def replay(
     actions = list(_actions(recording, sidecar, policy, told, opening, all_verdicts)) if is_online else []
     progress("done", 3, 3)
     differences = [_sentence(pair) for pair in chain(decisions, verdicts, actions) if not pair.equal]
+    notes = _left_out(sidecar, len(verdicts), len(actions)) if recording.damage else []
     return {
         "replay": _counts("electrodes", decisions) | _counts("verdicts", verdicts) | _counts("actions", actions),
         "seconds": perf_counter() - started,
+        "notes": notes,
         "differences": differences[:10],
     }
 
@@ -82,6 +86,21 @@ def _counts(what: str, pairs: list[Compared]) -> dict[str, int]:
         f"{what}_equal": sum(pair.equal for pair in pairs),
         f"{what}_taken_over": sum(pair.taken_over for pair in pairs),
     }
+
+
+def _left_out(sidecar: dict[str, Any], n_verdicts: int, n_actions: int) -> list[str]:
+    """How much of a damaged run was not replayed: what is equal is only what is left of it."""
+    verdicts, actions = sidecar.get("verdicts"), sidecar.get("actions")
+    if not isinstance(verdicts, dict) or not isinstance(actions, int):
+        return [
+            f"The recording is damaged: {n_verdicts} verdicts and {n_actions} actions were replayed. How many there "
+            "were isn't known: no sidecar of a run that was closed tells."
+        ]
+    all_verdicts = sum(n for n in verdicts.values() if isinstance(n, int))
+    return [
+        f"The recording is damaged: {n_verdicts} of its {all_verdicts} verdicts and {n_actions} of its {actions} "
+        "actions were replayed. The others are lost, or what they depended on is."
+    ]
 
 
 def is_equal(result: dict[str, Any]) -> bool:
@@ -147,7 +166,13 @@ def _actions(
 
     path = _file_of_run(recording.path, sidecar, "policy", policy)
     if path is None:
-        raise SetupError(f"The sidecar of {recording.path} names no policy. Say which one it was with --policy.")
+        where = sidecar_of(recording.path)
+        why = (
+            f"The sidecar {where} names no policy" if sidecar else f"There is no sidecar {where} that names the policy"
+        )
+        raise SetupError(
+            f"{why}. Put the run's own there, or say by --policy which policy it was, and by --model which decoder."
+        )
     network, card = checkpoint.load(path)
     world: GridWorld = compile_map("\n".join(opening.layout), opening.map)
     cards.check_fits(card, world)

@@ -159,5 +159,5 @@ def test_a_folder_is_no_recording_and_its_calibrations_are_listed(tmp_path: Path
 
 @pytest.mark.skipif(not Path("/proc/version").exists(), reason="no folder that nobody may write into")
 def test_a_folder_that_cant_be_written_is_told_before_anything_is_read() -> None:
-    with pytest.raises(SetupError, match="Can't write a decoder into /proc: .* Unlock the folder"):
+    with pytest.raises(SetupError, match=r"Can't write a decoder into /proc: .* Unlock the folder"):
         fit([Path("/proc/version")], Config(), False, quiet)

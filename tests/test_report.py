@@ -276,7 +276,7 @@ def test_nothing_is_overwritten(made: Any, study_folder: Any, tmp_path: Path) ->
     with pytest.raises(SetupError, match="isn't a folder that may be written into"):
         making.make([study_folder[0]], tmp_path / "file" / "report", False, nothing)
     if Path("/proc/version").exists():  # whose folder nobody may write into, not even the administrator
-        with pytest.raises(SetupError, match="into /proc/x: /proc isn.t a folder that may be written into"):
+        with pytest.raises(SetupError, match=r"into /proc/x: /proc isn.t a folder that may be"):
             making.make([study_folder[0]], Path("/proc/x"), False, nothing)
     (tmp_path / "report").mkdir()
     assert free_folder(tmp_path) == tmp_path / "report-2"
