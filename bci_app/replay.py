@@ -52,8 +52,8 @@ def replay(
     """Replay a recording and compare.
 
     Returns ``replay``, of ``electrodes``, ``verdicts`` and ``actions`` how many there are, how many are equal
-    (``..._equal``) and how many of these were taken over (``..._taken_over``), ``seconds``, ``notes``, how much of a damaged
-    run wasn't replayed, and ``differences``, the first few in words.
+    (``..._equal``) and how many of these were taken over (``..._taken_over``), ``seconds``, ``notes``, how much of a
+    damaged run wasn't replayed, and ``differences``, the first few in words.
 
     Raises SetupError for an unusable recording, or a model or policy that isn't the run's.
     """

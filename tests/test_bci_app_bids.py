@@ -522,6 +522,11 @@ def test_rows_come_into_a_table_beside_what_others_wrote() -> None:
         ("[eeg\n", "not valid TOML"),
         ("[eeg]\nRef = 'FCz'", "unknown key 'eeg.Ref'"),
         ("x = 1", "known: dataset"),
+        (
+            "[participants.P001]\nage = 'thirty'",
+            r"'participants\.P001\.age' must be a number of years .*found 'thirty'",
+        ),
+        ("[participants.P001]\nage = -3", "found -3"),
     ],
 )
 def test_a_mistake_in_what_the_lab_tells_is_named(tmp_path: Path, text: str, says: str) -> None:
@@ -529,6 +534,15 @@ def test_a_mistake_in_what_the_lab_tells_is_named(tmp_path: Path, text: str, say
     path.write_text(text)
     with pytest.raises(SetupError, match=says):
         read_about(path)
+
+
+def test_whom_only_the_lab_tells_of_is_told(study: Study, tmp_path: Path) -> None:
+    assert [each["notes"] for each in study.told] == [[], []]
+    some = next(study.recordings.glob("*/*/*/*P002*.xdf"))
+    about = About.model_validate({"participants": {"P002": {"age": "89+"}, "P02": {"age": 31.5}}})
+    assert export_bids([some], tmp_path / "bids", about, False, quiet)["notes"] == [
+        "--about tells of P02, of whom there is no recording here. There are some of P002."
+    ]
 
 
 def test_other_verbs_dont_wait_for_the_libraries_of_this_one() -> None:

@@ -1,10 +1,11 @@
 """What only the lab knows of a study: a TOML file in BIDS's own words."""
 
+import math
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from bci_app.errors import SetupError
 
@@ -53,6 +54,8 @@ class Eeg(_Part):
 
 
 Told = str | int | float
+AGES = ("89+", "n/a")
+"""What BIDS lets an age be that is no number."""
 
 
 class About(_Part):
@@ -69,9 +72,24 @@ class About(_Part):
     participants: dict[str, dict[str, Told]] = {}
     columns: dict[str, str] = {}
 
+    @field_validator("participants")
+    @classmethod
+    def _years(cls, people: dict[str, dict[str, Told]]) -> dict[str, dict[str, Told]]:
+        for who, row in people.items():
+            age = row.get("age", 0)
+            if age not in AGES and (isinstance(age, str) or not 0 <= age < math.inf):
+                raise ValueError(
+                    f"'participants.{who}.age' must be a number of years (or \"89+\"), found {age!r:.60}. Leave it out "
+                    "if it isn't known"
+                )
+        return people
+
 
 def read_about(path: Path | None) -> About:
-    """What the lab tells; nothing without a file. Raises SetupError for one that can't be read, or an unknown key."""
+    """What the lab tells; nothing without a file.
+
+    Raises SetupError for one that can't be read, an unknown key or an age that is no number.
+    """
     if path is None:
         return About()
     try:
@@ -86,6 +104,8 @@ def read_about(path: Path | None) -> About:
 
 def _sentence(item: Any) -> str:
     key = ".".join(str(part) for part in item["loc"])
+    if item["type"] == "value_error":
+        return str(item["msg"]).removeprefix("Value error, ")
     if item["type"] != "extra_forbidden":
         return f"'{key}': {item['msg']}, found {item['input']!r:.60}"
     known = {"dataset": Dataset.model_fields, "eeg": Eeg.model_fields}.get(str(item["loc"][0]), About.model_fields)

@@ -12,7 +12,7 @@ from typing import Any
 from bci_app.bids import files, tables, words
 from bci_app.bids.about import About
 from bci_app.bids.columns import COLUMNS
-from bci_app.bids.source import Source, find, read_source, run_of
+from bci_app.bids.source import NAME, Source, find, read_source, run_of
 from bci_app.errors import SetupError
 from bci_app.progress import Progress
 
@@ -25,8 +25,8 @@ def export_bids(
 ) -> dict[str, Any]:
     """Put recordings into a dataset, new or begun.
 
-    Returns ``dataset``, ``runs`` (what became of each), ``left_out`` (why some aren't in it) and ``fit``: whether all
-    are.
+    Returns ``dataset``, ``runs`` (what became of each), ``left_out`` (why some aren't in it), ``notes`` (of whom only
+    ``about`` tells) and ``fit``: whether all are in it.
 
     Raises SetupError where nothing can be written: no recordings, or a folder that is no BIDS dataset.
     """
@@ -43,7 +43,26 @@ def export_bids(
     progress("done", len(found), len(found))
     if is_new and not runs:
         shutil.rmtree(out)  # a dataset of nothing is none
-    return {"dataset": str(out), "runs": runs, "left_out": left_out, "fit": not left_out}
+    return {
+        "dataset": str(out),
+        "runs": runs,
+        "left_out": left_out,
+        "notes": _strangers(found, out, about),
+        "fit": not left_out,
+    }
+
+
+def _strangers(found: Sequence[Path], out: Path, about: About) -> list[str]:
+    """Whom the lab tells of, and no recording is of: a slip of the pen leaves the right one without age and sex."""
+    here = {match["participant"] for path in found if (match := NAME.fullmatch(path.name))}
+    if set(about.participants) <= here:
+        return []
+    here |= {row["participant_id"].removeprefix("sub-") for row in tables.read(out / "participants.tsv")[1]}
+    strangers = sorted(set(about.participants) - here)
+    if not strangers:
+        return []
+    there = ", ".join(sorted(here))
+    return [f"--about tells of {', '.join(strangers)}, of whom there is no recording here. There are some of {there}."]
 
 
 def _open(out: Path, about: About) -> None:
