@@ -83,6 +83,7 @@ def main() -> None:
         "sessions": len(found),
         "identical": same,
         "with_late_truths": late,
+        "identical_of_the_others": sum(row["identical"] for row in found if not row["late"]),
         **total,
         "left_out": len(left_out),
     }
