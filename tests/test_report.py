@@ -415,7 +415,7 @@ def test_what_went_wrong_is_told(whole: list[Recording]) -> None:
         "restart: The stimulus went on after step 2 of episode 1.",
         "late frame: 2 frames came late, 1 of them with a jump; the worst by 17.0 ms.",
         "link: Stream Amp: gaps in its samples 3, times it was away 1.",  # the decoder was started again
-        "gap: The EEG has 1 gaps of a second or more, 4.0 s together.",
+        "gap: The EEG has 1 gap of a second or more, 4.0 s together.",
         "end: The recording has no end",
         "damage: 3 verdicts are missing.",
         "file: The run was never closed: its sidecar says recording.",
