@@ -205,7 +205,7 @@ def _on_signals(tables: Tables) -> list[str]:
     for row in tables.get("waveforms", []):
         if row["n_without"]:
             lines.append(
-                f"{words.who(row)}, {row['source']}: {count(row['n_without'], 'move')} without a waveform: samples are missing "
-                "around it, or its epoch was rejected."
+                f"{words.who(row)}, {row['source']}: {count(row['n_without'], 'move')} without a waveform: samples are "
+                "missing around it, or its epoch was rejected."
             )
     return lines
