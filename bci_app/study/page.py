@@ -136,7 +136,8 @@ def _p(value: float | None) -> str:
     return "–" if value is None else "< 0.001" if value < 0.001 else f"{value:.3f}"
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def cells(row: Row) -> tuple[str, ...]:
+    """Success, steps and tests of a row of `tables.headline` or `tables.by_participant`, in words."""
     mean = words.number(row["mean_steps"], 2)
     if row["mean_steps_low"] is not None:
         mean = words.with_interval(row["mean_steps"], row["mean_steps_low"], row["mean_steps_high"], 2)
@@ -158,7 +159,7 @@ def _headlines(rows: Sequence[Row]) -> list[Grid]:
     grids: list[Grid] = []
     for group in dict.fromkeys(row["group"] for row in rows):
         mine = [row for row in rows if row["group"] == group]
-        lines = [(row["condition"], row["map"], str(row["participants"]), *_cells(row)) for row in mine]
+        lines = [(row["condition"], row["map"], str(row["participants"]), *cells(row)) for row in mine]
         caption = f"Participants: {group}"
         grids.append(Grid(caption, ("Condition", "Map", "People", *_HEAD), lines, note=_NOTE if not grids else ""))
     return grids
@@ -175,7 +176,7 @@ _NOTE = (
 
 
 def _people(rows: Sequence[Row], condition: Condition) -> Grid:
-    lines = [(row["participant"], row["map"], *_cells(row)) for row in rows if row["condition"] == condition]
+    lines = [(row["participant"], row["map"], *cells(row)) for row in rows if row["condition"] == condition]
     note = "Intervals and tests over a participant's episodes, each paired with the same episode without ErrP."
     return Grid(f"Each participant, condition {condition}", ("Participant", "Map", *_HEAD), lines, note=note)
 
