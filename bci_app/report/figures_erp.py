@@ -84,7 +84,9 @@ def _told_of_bars(tested: Sequence[Row], differ: bool, several: bool) -> str:
 def _why_not(several: bool) -> str:
     """Why clusters aren't tested."""
     return (
-        f": that needs {FEWEST_PARTICIPANTS} participants" if several else f": that needs {FEWEST} moves of each kind"
+        f", for that needs {FEWEST_PARTICIPANTS} participants"
+        if several
+        else f", for that needs {FEWEST} moves of each kind"
     )
 
 

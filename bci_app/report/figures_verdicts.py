@@ -43,7 +43,7 @@ def accuracy(tables: Tables) -> Drawn | None:
                         with_interval(axes, place + offset, row, markersize=4, **style[source])
             axes.axhline(50, color=GREY, linestyle=":", linewidth=1)
             labels = people if measure else list(MEASURES.values())
-            _gate(axes, measure, len(places))
+            _gate(axes, measure)
             axes.set_xticks(range(len(places)), labels, rotation=45 if measure and len(people) > 8 else 0)
             label = MEASURES[measure].replace(chr(10), " ") if measure else "value with 95 % interval"
             axes.set(ylabel=f"{label} (%)", ylim=(None, 101))
@@ -51,7 +51,7 @@ def accuracy(tables: Tables) -> Drawn | None:
             Line2D([], [], linestyle="none", label=words(source) + _moves(those(rows, source=source)), **style[source])
             for source in sources
         ]
-        handles += [Line2D([], [], color=GREY, linestyle="--", label="the paper's gate of accuracies, 70 %")]
+        handles += [Line2D([], [], color=GREY, linestyle="--", label="the paper's gate, 70 %")]
         handles += [Line2D([], [], color=GREY, linestyle=":", label="chance, 50 %")]
         figure.legend(handles=handles, loc="outside lower center", ncols=3, columnspacing=1.2, handlelength=1.6)
     means = {source: _mean(those(rows, source=source, measure="balanced_accuracy")) for source in sources}
@@ -61,16 +61,18 @@ def accuracy(tables: Tables) -> Drawn | None:
         "How often verdicts are right",
         f"Points with intervals. Balanced accuracy{' in the mean' if len(people) > 1 else ''}: {told}.",
         "Bars are 95 % intervals: Wilson's for shares, MOVER's for the balanced accuracy, DeLong's for the area under "
-        "the ROC curve. n counts moves. Chance is that of the balanced measures. Neighbouring epochs resemble each "
+        "the ROC curve. n counts moves. The gate is of plain accuracies, chance that of the balanced measures. Neighbouring epochs resemble each "
         "other, so believe contiguous folds where the two differ.",
     )
 
 
-def _gate(axes: Axes, measure: str | None, n_places: int) -> None:
+def _gate(axes: Axes, measure: str | None) -> None:
     """The paper's gate, where plain accuracies are: all over a panel of them, or over their place among measures."""
-    if measure in (None, "accuracy"):
-        ends = (-0.4, 0.4 if measure is None else n_places - 0.6)
-        axes.plot(ends, (GATE, GATE), color=GREY, linestyle="--", linewidth=1)
+    look: dict[str, Any] = {"color": GREY, "linestyle": "--", "linewidth": 1}
+    if measure == "accuracy":
+        axes.axhline(GATE, **look)
+    elif measure is None:
+        axes.plot((-0.4, 0.4), (GATE, GATE), **look)
 
 
 def _moves(rows: list[Row]) -> str:
