@@ -83,11 +83,7 @@ def _told_of_bars(tested: Sequence[Row], differ: bool, several: bool) -> str:
 
 def _why_not(several: bool) -> str:
     """Why clusters aren't tested."""
-    return (
-        f", for that needs {FEWEST_PARTICIPANTS} participants"
-        if several
-        else f", for that needs {FEWEST} moves of each kind"
-    )
+    return f", for that needs {f'{FEWEST_PARTICIPANTS} participants' if several else f'{FEWEST} moves of each kind'}"
 
 
 AVERAGES = "The participant's visits are averaged, each counting alike; tests are within each visit, in the tables."

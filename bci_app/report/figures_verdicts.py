@@ -61,8 +61,8 @@ def accuracy(tables: Tables) -> Drawn | None:
         "How often verdicts are right",
         f"Points with intervals. Balanced accuracy{' in the mean' if len(people) > 1 else ''}: {told}.",
         "Bars are 95 % intervals: Wilson's for shares, MOVER's for the balanced accuracy, DeLong's for the area under "
-        "the ROC curve. n counts moves. The gate is of plain accuracies, chance that of the balanced measures. Neighbouring epochs resemble each "
-        "other, so believe contiguous folds where the two differ.",
+        "the ROC curve. n counts moves. The gate is of plain accuracies, chance that of the balanced measures. "
+        "Neighbouring epochs resemble each other, so believe contiguous folds where the two differ.",
     )
 
 
