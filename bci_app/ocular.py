@@ -58,7 +58,8 @@ def learn(recording: Recording, decisions: Decisions, config: EyesConfig) -> Lea
         return Learnt(None, str(error), alone, seen_by)
     if not len(eyes.sources):
         return Learnt(None, "No movement of the eyes stands out of the EEG.", alone, seen_by)
-    reason = f"{len(eyes.sources)} sources learnt from {eyes.seconds:.0f} s of eye movements."
+    number = len(eyes.sources)
+    reason = f"{number} source{'' if number == 1 else 's'} learnt from {eyes.seconds:.0f} s of eye movements."
     return Learnt(eyes, reason, alone, seen_by)
 
 

@@ -79,7 +79,7 @@ def report(browser: Browser, recordings: Path) -> None:
         page = browser.new_page(viewport={"width": 1000, "height": 900})
         page.goto((out / "report.html").as_uri())
         for name in FIGURES:
-            shoot(page.locator(f"#figure-{name} + figure img"), name)
+            shoot(page.locator(f"#figure-{name} img"), name)
 
 
 def shoot(what: Page | Locator, name: str) -> None:

@@ -89,7 +89,7 @@ def test_every_move_of_the_calibration_has_a_valid_epoch(session: Session) -> No
     assert session.calibration["verdicts"] == {"unjudged": 120}
     assert session.fit["calibration"]["n_moves"] == session.fit["calibration"]["n_valid"] == 120
     assert session.calibration["notes"] == ["decoder: Channel C3 is bad: flat."]
-    assert "sources learnt from" in session.fit["calibration"]["eyes"]["correction"]
+    assert " learnt from " in session.fit["calibration"]["eyes"]["correction"]
 
 
 def test_the_recording_holds_what_was_said(session: Session) -> None:

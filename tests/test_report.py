@@ -6,6 +6,7 @@ import re
 from base64 import b64decode
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -38,7 +39,8 @@ from bci_app.protocol import (
     Verdict,
 )
 from bci_app.recording import Recording, SenderClock, Stamped, read
-from bci_app.report import Tables, contents, making, merged, study, those
+from bci_app.report import Tables, contents, in_a_row, making, merged, study, those, words
+from bci_app.report.drawing import Drawn
 from bci_app.report.sources import Source, Visit, free_folder, missing, visits
 from bci_app.report.visits import see_recordings
 from bci_app.runs import checksum
@@ -225,6 +227,21 @@ def test_the_page_can_be_read_without_seeing_it(page: tuple[str, Page]) -> None:
     assert "nan" not in re.sub(r"base64,[A-Za-z0-9+/=]+", "", text).lower().replace("finance", "")
 
 
+def test_the_page_tells_when_and_by_what_it_was_made_and_how_fast_sessions_were(page: tuple[str, Page]) -> None:
+    text, _ = page
+    (foot,) = re.findall(r"<footer>(.*)</footer>", text)
+    assert re.fullmatch(rf"Made on \d{{4}}-\d\d-\d\d at \d\d:\d\d \(.+\) by bci-app {version('errp-bci')}\.", foot)
+    assert text.count("<td>2 times</td>") == len(WISHES)
+
+
+def test_no_heading_is_said_twice_and_no_mark_is_left_raw(page: tuple[str, Page]) -> None:
+    text = re.sub(r"base64,[A-Za-z0-9+/=]+", "", page[0])
+    above = re.findall(r"<summary>(.*?)</summary>", text)
+    assert any(name.startswith("Ways on") for name in above)
+    assert not set(above) & set(re.findall(r"<h3>(.*?)</h3>", text))
+    assert "`" not in text
+
+
 def luminance(colour: str) -> float:
     parts = [int(colour[place : place + 2], 16) / 255 for place in (1, 3, 5)]
     linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
@@ -254,6 +271,12 @@ def test_a_browser_finds_nothing_that_keeps_anybody_from_reading_it(made: Any) -
             page.goto(address)
             assert complaints(page) == []
             assert page.evaluate("document.documentElement.scrollWidth") == width
+        page.emulate_media(media="print")
+        heights = page.evaluate("[...document.images].map(image => image.getBoundingClientRect().height)")
+        assert max(heights) <= 14 / 2.54 * 96 + 1
+        for what in ("thead", "tr", "figure", ".short"):
+            kept = page.evaluate(f"getComputedStyle(document.querySelector('{what}')).breakInside")
+            assert kept == "avoid", what
 
 
 def test_figures_are_there_for_publication(made: Any) -> None:
@@ -418,7 +441,7 @@ def test_what_went_wrong_is_told(whole: list[Recording]) -> None:
         "restart: The stimulus went on after step 2 of episode 1.",
         "late frame: 2 frames came late, 1 of them with a jump; the worst by 17.0 ms.",
         "link: Stream Amp: gaps in its samples 3, times it was away 1.",  # the decoder was started again
-        "gap: The EEG has 1 gaps of a second or more, 4.0 s together.",
+        "gap: The EEG has 1 gap of a second or more, 4.0 s together.",
         "end: The recording has no end",
         "damage: 3 verdicts are missing.",
         "file: The run was never closed: its sidecar says recording.",
@@ -429,6 +452,34 @@ def test_what_went_wrong_is_told(whole: list[Recording]) -> None:
     assert lost["n_without"] > 0
     (late,) = those(tables["latency"], what="late frame")
     assert (late["n"], late["max_ms"]) == (2, 17.0)
+
+
+def test_that_a_run_was_gone_on_with_is_a_note(whole: list[Recording]) -> None:
+    end = {"reason": "interrupted", "text": "Stopped by the experimenter."}
+    messages = tuple(
+        Stamped(item.stamp, item.message.model_copy(update=end)) if isinstance(item.message, SessionEnd) else item
+        for item in whole[1].messages
+    )
+    first = replace(whole[1], messages=messages, path=Path(EEG.format("online", 1)))
+    second = replace(whole[1], path=Path(EEG.format("online", 2)))
+    for broken, how in (
+        (first, "was interrupted: Stopped by the experimenter."),
+        (without(first, SessionEnd), "was broken off, or its recorder was."),
+    ):
+        run = tuple(Source(each.path, {}, "P001", "S001") for each in (broken, second))
+        (told,) = those(
+            see_recordings(Visit("P001", "S001", (run,)), [[broken, second]]).tables["events"],
+            kind="end",
+        )
+        assert (told["level"], told["text"]) == ("info", f"Online 001 {how} It went on in online 002.")
+        (alone,) = those(tables_of(broken)["events"], kind="end")
+        assert alone["level"] == "error"
+
+
+def test_without_a_decoder_beside_it_nobody_says_that_none_was_fitted(whole: list[Recording]) -> None:
+    lines = said(tables_of(whole[0]))
+    assert "No decoder lies beside it" in lines
+    assert "fitted" not in lines
 
 
 def test_somebody_who_only_opened_a_run_is_refused(whole: list[Recording]) -> None:
@@ -473,6 +524,108 @@ def test_a_study_has_means_and_tests_over_participants(made: Any) -> None:
         drawn = draw[name]()
         assert drawn is not None
         assert says in drawn.alt
+
+
+def several(made: dict[str, Any], number: int) -> Tables:
+    """The made report's session as so many participants', each a little different."""
+    names = [path.stem for path in (Path(made["report"]).parent / "tables").glob("*.json")]
+    own = {name: table(made, name) for name in names if name not in study_only(names)}
+    people = [
+        {name: [dict(row, participant=f"P{n}") for row in rows] for name, rows in own.items()} for n in range(number)
+    ]
+    for n, mine in enumerate(people):
+        for row in mine["errors_in_a_row"]:
+            row["mean"] += n
+        mine["learning_curve"] = [learnt(f"P{n}", epochs, 0.01 * n) for epochs in (40, 80, 120)]
+    people[0]["maps"] = table(made, "maps")
+    return study.complete(merged(people))
+
+
+def learnt(who: str, epochs: int, more: float) -> dict[str, Any]:
+    """What is expected after a block of a calibration that is long enough to tell."""
+    expected = {f"balanced_accuracy{end}": 0.6 + epochs / 1000 + more + wide for end, wide in BOUNDS.items()}
+    where = {"participant": who, "visit": "S001", "run": "calibration 001", "map": "open"}
+    return {**where, "n_epochs": epochs, **expected, "sentence": f"After {epochs} epochs."}
+
+
+BOUNDS = {"": 0.0, "_low": -0.05, "_high": 0.05}
+
+
+def figure_of(tables: Tables, name: str) -> Drawn:
+    found = dict(contents.drawings(tables))[name]()
+    assert found is not None
+    return found
+
+
+PROMISES = {
+    "erp_online": ("Grey bars",),
+    "erp_areas": ("Shaded", "Bands"),
+    "calibration_learning_curve": ("the band",),
+    "verdicts_decisions": ("bars are Wilson's",),
+}
+
+
+def test_a_caption_names_only_what_is_drawn(made: Any) -> None:
+    one, two = several(made, 1), several(made, 2)
+    for name, promises in PROMISES.items():
+        assert not any(promise in figure_of(two, name).caption for promise in promises), name
+    assert "isn't tested, for that needs 6 participants" in figure_of(two, "erp_online").caption
+    for name in ("calibration_learning_curve", "verdicts_decisions"):
+        assert PROMISES[name][0] in figure_of(one, name).caption
+    areas = figure_of(one, "erp_areas")
+    patches = [len(axes.patches) for axes in areas.figure.axes]
+    assert ("Shaded" in areas.caption) == any(patches)
+    assert "Bands" in areas.caption
+
+
+def test_learning_curves_have_their_participants_names(made: Any) -> None:
+    two = figure_of(several(made, 2), "calibration_learning_curve").figure
+    assert [text.get_text() for text in two.legends[0].get_texts()] == ["P0", "P1"]
+    assert len({line.get_color() for line in two.axes[0].lines}) == 2
+    tables = several(made, 8)
+    *each, mean = figure_of(tables, "calibration_learning_curve").figure.axes[0].lines
+    assert len(each) == 8
+    assert len({line.get_color() for line in each}) == 1
+    assert mean.get_ydata() == pytest.approx(np.mean([line.get_ydata() for line in each], axis=0))
+    assert mean.get_linewidth() > each[0].get_linewidth()
+
+
+def test_the_papers_gate_is_drawn_where_plain_accuracies_are(made: Any) -> None:
+    def gates(figure: Any) -> list[list[float]]:
+        lines = [[line for line in axes.lines if set(line.get_ydata()) == {70.0}] for axes in figure.axes]
+        return [[float(x) for line in mine for x in line.get_xdata()] for mine in lines]
+
+    first, *others = gates(figure_of(several(made, 2), "verdicts_accuracy").figure)
+    assert first == [0, 1]
+    assert others == [[], []]
+    assert gates(figure_of(several(made, 1), "verdicts_accuracy").figure) == [[-0.4, 0.4]]
+    assert gates(figure_of(several(made, 2), "calibration_learning_curve").figure) == [[]]
+
+
+def test_results_by_area_tell_whose_they_are(made: Any) -> None:
+    two = figure_of(several(made, 2), "online_areas").caption
+    assert "P0, open map: central" in two
+    assert "P1, map with obstacles: central" in two
+    assert "P0" not in figure_of(several(made, 1), "online_areas").caption
+
+
+def test_over_two_participants_there_is_a_value_and_no_interval(made: Any) -> None:
+    tables = several(made, 2)
+    for name, value, low in (("erp_peaks", "mean_uv", "low_uv"), ("errors_in_a_row", "mean", "low")):
+        rows = those(tables[name], participant="all")
+        assert rows
+        assert all(row[value] is not None and row[low] is None and row["unit"] == "participants" for row in rows)
+        assert {row["unit"] for row in those(tables[name], participant="P0")} == {"moves"}
+    for grid in (words.peaks(tables), words.levels(tables)):
+        assert grid is not None
+        mine = [row for row in grid.rows if row[0] == "all"]
+        assert all(any(cell.endswith("[–]") for cell in row) for row in mine)
+        assert {cell for row in mine for cell in row if "participant" in cell} <= {"1 participant", "2 participants"}
+        assert "[–, –]" not in str(grid.rows)
+    about = {**those(tables["errors_in_a_row"], participant="P0")[0], "errors_in_a_row": in_a_row.LAST}
+    last = words.levels({"errors_in_a_row": [about]})
+    assert last is not None
+    assert last.rows[0][2] == f"{in_a_row.LAST} or more"
 
 
 def visits_of_one(made: dict[str, Any], *visits: str) -> Tables:

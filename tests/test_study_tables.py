@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bci_app.study import tables
+from bci_app.study import page, tables
 from bci_app.study.comparing import paired_tests, ratio, share
 from bci_app.study.power import curve, needed
 
@@ -117,10 +117,11 @@ def test_two_episodes_of_one_distance_are_paired_each_with_its_own() -> None:
 
 
 def test_a_share_has_an_interval_over_people_not_over_moves() -> None:
-    value, low, high = share([60, 90], [100, 100])
+    value, low, high = share([60, 90, 75], [100, 100, 100])
     assert value == 0.75
-    assert (low, high) == (0.0, 1.0)  # two people, 60 and 90 %
+    assert (low, high) == pytest.approx((0.3774, 1.0), abs=1e-4)
     assert share([6], [10]) == (0.6, None, None)
+    assert share([60, 90], [100, 100]) == (0.75, None, None)
     value, low, high = share([60, 60, 60], [100, 100, 100])
     assert (value, low, high) == (0.6, 0.6, 0.6)
 
@@ -136,11 +137,28 @@ def test_one_participant_is_paired_over_episodes() -> None:
     assert (row["condition"], row["map"], row["participants"], row["n_pairs"]) == ("ours", "open", 1, 19)
 
 
-def test_of_one_participant_there_is_no_interval_over_participants() -> None:
-    row = tables.headline([person("A1")], ("none", "ours"), ("open",), 0.7)[2]
-    assert (row["condition"], row["participants"]) == ("ours", 1)
+@pytest.mark.parametrize("number", [1, 2])
+def test_of_one_or_two_participants_there_is_no_interval_over_participants(number: int) -> None:
+    people = [person(f"A{n}", 0.7 + 0.1 * n) for n in range(number)]
+    row = tables.headline(people, ("none", "ours"), ("open",), 0.7)[2]
+    assert (row["condition"], row["participants"]) == ("ours", number)
     assert row["steps_vs_none"] is not None
     assert [row[name] for name in tables.OVER_PEOPLE] == [None] * len(tables.OVER_PEOPLE)
+
+
+def test_of_two_pairs_there_is_no_interval_over_pairs() -> None:
+    people = [person("A1"), person("A2", 0.8), person("A3", 0.6, none_open=True)]
+    row = tables.headline(people, ("none", "ours"), ("open",), 0.7)[2]
+    assert (row["condition"], row["participants"], row["n_pairs"]) == ("ours", 3, 2)
+    assert row["mean_steps_low"] is not None
+    assert [row[name] for name in tables.OVER_PAIRS] == [None] * len(tables.OVER_PAIRS)
+
+
+def test_a_mean_lies_within_its_interval_as_it_is_told() -> None:
+    people = [person(f"A{n}") for n in range(3)]
+    row = tables.headline(people, ("none", "ours"), ("open",), 0.7)[0]
+    mean, low, high = (f"{row[name]:.2f}" for name in ("mean_steps", "mean_steps_low", "mean_steps_high"))
+    assert page.cells(row)[1] == f"{mean} [{low},\u00a0{high}]"
 
 
 def test_who_stopped_halfway_is_told_and_enters_only_what_is_whole() -> None:

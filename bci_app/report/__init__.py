@@ -14,6 +14,9 @@ Row = dict[str, Any]
 Tables = dict[str, list[Row]]
 """Tables by name; `docs/report.md` tells their columns."""
 
+FEWEST_PEOPLE = 3
+"""Participants below whom means over them have neither interval nor test: Student's t of two is 12.7 (decided)."""
+
 AVERAGED = "mean"
 """What stands for the visit where one participant's visits are taken together."""
 
@@ -45,3 +48,13 @@ def by_person(rows: Sequence[Row], *values: str) -> list[Row]:
 def merged(tables: list[Tables]) -> Tables:
     """The rows of several put together, table by table."""
     return {name: [row for each in tables for row in each.get(name, [])] for each in tables for name in each}
+
+
+def count(number: int, what: str) -> str:
+    """A number of things, whose name comes as one: ``1 gap``, ``2 gaps``."""
+    return f"{number:,} {what}{'' if number == 1 else 's'}"
+
+
+def unit_of(row: Row) -> str:
+    """What a mean's ``n`` counts: moves of one participant, or participants."""
+    return "participants" if row["participant"] == "all" else "moves"

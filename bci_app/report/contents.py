@@ -7,6 +7,7 @@ from bci_app.report import (
     AVERAGED,
     Row,
     Tables,
+    count,
     distinct,
     figures_erp,
     figures_online,
@@ -61,15 +62,11 @@ def summary(tables: Tables, seen: Sequence[Mapping[str, Any]]) -> list[str]:
     troubles = [row for row in tables.get("events", []) if row["level"] != "info"]
     n_errors = sum(row["level"] == "error" for row in troubles)
     lines.append(
-        f"{_count(n_errors, 'error')} and {_count(len(troubles) - n_errors, 'warning')}: see the end of the page."
+        f"{count(n_errors, 'error')} and {count(len(troubles) - n_errors, 'warning')}: see the end of the page."
         if troubles
         else "Nothing went wrong that the recordings know of."
     )
     return [line for line in lines if line]
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def _in_short(figures: Mapping[str, Any]) -> str:
@@ -183,7 +180,7 @@ def sections(tables: Tables, figures: Figures, seen: Sequence[Mapping[str, Any]]
 
 FILES = (
     "Beside this page: figures/ holds each figure as SVG and PDF, tables/ each table as CSV and JSON, report.json the "
-    "figures as `fit`, `online` and `demo` print them. docs/report.md of the program tells every column.",
+    "figures as bci-app fit, online and demo print them. docs/report.md of the program tells every column.",
     "The page needs nothing else and no network.",
 )
 
@@ -208,7 +205,7 @@ def _on_signals(tables: Tables) -> list[str]:
     for row in tables.get("waveforms", []):
         if row["n_without"]:
             lines.append(
-                f"{words.who(row)}, {row['source']}: {row['n_without']} moves have no waveform, for samples around "
-                "them are missing or they were rejected."
+                f"{words.who(row)}, {row['source']}: {count(row['n_without'], 'move')} without a waveform: samples are "
+                "missing around it, or its epoch was rejected."
             )
     return lines

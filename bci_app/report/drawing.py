@@ -1,6 +1,6 @@
 """What the report's figures share: their form, their colours, and how they are written."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from bci_app.report import Row
 from policy.experiment1.plotting import BLACK, BLUE, GREEN, GREY, ORANGE, STYLE, VERMILION
 
-PURPLE = "#CC79A7"  # of Okabe and Ito's, too
+PURPLE, SKY = "#CC79A7", "#56B4E9"  # of Okabe and Ito's, too
 FORMATS = ("svg", "pdf")
 LOOK = {**STYLE, "svg.hashsalt": "report", "pdf.fonttype": 42}
 """The first experiment's; letters stay letters in a PDF."""
@@ -36,6 +36,19 @@ _SOURCES = (
     {"color": PURPLE, "marker": "v"},
     {"color": GREY, "marker": "X"},
 )
+PEOPLE_LOOKS: tuple[dict[str, Any], ...] = tuple(
+    {"color": colour, "marker": marker, "linestyle": line}
+    for colour, marker, line in (
+        (BLUE, "o", "-"),
+        (VERMILION, "s", "--"),
+        (GREEN, "D", "-"),
+        (PURPLE, "v", "--"),
+        (BLACK, "^", "-"),
+        (SKY, "X", "-"),
+        (ORANGE, "P", "--"),
+    )
+)
+"""Of several participants beside each other, in their order."""
 WORDS = {
     "tenfold": "tenfold cross-validation",
     "contiguous": "contiguous folds",
@@ -106,3 +119,14 @@ def with_interval(axes: Axes, x: float, row: Row, scale: float = 100.0, **look: 
 def percent(share: float | None, digits: int = 1) -> str:
     """A share for people; a dash where there is none."""
     return "–" if share is None else f"{100 * share:.{digits}f} %"
+
+
+def run_names(runs: Sequence[tuple[str, str, str]]) -> list[str]:
+    """Runs by participant, by visit where there are several of one, and by themselves where a visit has several."""
+    visits = dict.fromkeys((who, visit) for who, visit, _ in runs)
+    return [
+        who
+        + (f" {visit}" if sum(each[0] == who for each in visits) > 1 else "")
+        + (f", {run}" if sum(each[:2] == (who, visit) for each in runs) > 1 else "")
+        for who, visit, run in runs
+    ]

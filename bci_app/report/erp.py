@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
-from bci_app.report import AVERAGED, Row, distinct
+from bci_app.report import AVERAGED, Row, distinct, unit_of
+from bci_app.report.online import over_people
 from bci_app.report.waveforms import Waveforms
 from decoder.calibration import Z95
 
@@ -69,7 +69,7 @@ def _rows(
 def grand_average(rows: Sequence[Row], by: Sequence[str]) -> list[Row]:
     """Rows of `mean_rows` averaged over visits, and over participants: each counts alike.
 
-    Of several participants ``sd_uv`` is over their means, the interval is Student's, and ``n`` counts participants. Of
+    Of several participants ``sd_uv`` is over their means, the interval is `over_people`'s, and ``n`` counts them. Of
     one participant's visits, whose mean is ``visit`` `AVERAGED`, ``sd_uv`` is that within them, the interval normal,
     and ``n`` counts trials; a single visit's rows stay as they are. `by` names the columns that tell means apart,
     beside participant, condition, channel and time. Who has no such channel or moment leaves it to the others.
@@ -92,12 +92,11 @@ def grand_average(rows: Sequence[Row], by: Sequence[str]) -> list[Row]:
             mine.setdefault(row["participant"], []).append(row["mean_uv"])
         means = np.array([np.mean(values) for values in mine.values()])
         n, mean = len(means), float(means.mean())
-        sd = float(means.std(ddof=1)) if n > 1 else 0.0
-        half = float(stats.t.ppf(0.975, n - 1)) * sd / np.sqrt(n) if n > 1 else 0.0
+        found = over_people(means.tolist())
         averaged.append(
             {**about, "participant": "all", "visit": None}
-            | {"time_ms": members[0]["time_ms"], "mean_uv": mean, "sd_uv": sd}
-            | {"low_uv": mean - half, "high_uv": mean + half, "n": n}
+            | {"time_ms": members[0]["time_ms"], "mean_uv": mean, "sd_uv": float(means.std(ddof=1)) if n > 1 else None}
+            | {"low_uv": found["low"], "high_uv": found["high"], "n": n}
         )
     return averaged
 
@@ -133,6 +132,7 @@ def peak_rows(rows: Sequence[Row], **where: object) -> list[Row]:
             if inside:
                 peak = max(inside, key=lambda row: sign * row["mean_uv"])
                 values = {key: peak[key] for key in ("time_ms", "mean_uv", "low_uv", "high_uv", "n")}
+                values["unit"] = unit_of(peak)
                 found.append({**where, "channel": channel, "peak": name, **values})
     return found
 

@@ -9,9 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from bci_app.report import AVERAGED, Row, Tables, by_person, distinct, those
+from bci_app.report import AVERAGED, FEWEST_PEOPLE, Row, Tables, by_person, count, distinct, those, unit_of
+from bci_app.report.clusters import FEWEST_PARTICIPANTS
 from bci_app.report.drawing import AREA_LOOKS, CONDITIONS, FEWEST_FOR_A_BAND, LOOK, Drawn
 from bci_app.report.erp import FEWEST, MAPS_MS, grand_average
+from bci_app.report.in_a_row import level_name
 from bci_app.report.waveforms import BASELINE_MS, nearest
 from decoder.montage import canonical, template
 from policy.experiment1.plotting import BLACK, GREY, VERMILION, sheet
@@ -34,7 +36,7 @@ def potential(tables: Tables, source: str) -> Drawn | None:
             wave = those(rows, condition=condition)
             time, mean, sd = _columns(wave, "time_ms", "mean_uv", "sd_uv")
             n = wave[0]["n"]
-            counted = f"{n} participants" if several else f"n = {n}"
+            counted = count(n, "participant") if several else f"n = {n}"
             upper.plot(time, mean, label=f"{condition} ({counted})", **CONDITIONS[condition])
             for sign in (-1, 1):
                 upper.plot(time, mean + sign * sd, color=CONDITIONS[condition]["color"], linestyle=":", linewidth=0.8)
@@ -47,7 +49,9 @@ def potential(tables: Tables, source: str) -> Drawn | None:
         peaks = those(tables.get("erp_peaks", []), source=source, channel=channel, **whose)
         _mark(lower, peaks)
         clusters = those(tables.get("erp_clusters", []), source=source, channel=channel, **whose)
-        if _significant(lower, those(clusters, comparison="error - correct, all")):
+        tested = those(clusters, comparison="error - correct, all")
+        differ = _significant(lower, tested)
+        if differ:
             lower.plot([], [], color="0.4", linewidth=4, solid_capstyle="butt", label="differ, p < 0.05")
         for axes in (upper, lower):
             _zero(axes)
@@ -56,19 +60,30 @@ def potential(tables: Tables, source: str) -> Drawn | None:
         lower.set(xlabel="time after the move (ms)", xlim=(BASELINE_MS[0], time[-1]))
         lower.margins(y=0.34)
     told = "; ".join(f"{peak['peak']}: {peak['mean_uv']:.1f} µV at {peak['time_ms']:.0f} ms" for peak in peaks)
-    counted = f"{wave[0]['n']} participants" if several else f"{wave[0]['n']} moves"
+    counted = count(wave[0]["n"], "participant" if several else "move")
     return Drawn(
         figure,
         f"Error potential at {channel}, {WHERE[source]}",
         f"Waveforms of error and correct moves and their difference, {counted}. Peaks of the difference: {told}.",
         f"As the paper's Fig. 9: baseline {BASELINE_MS[0]:.0f} to 0 ms, 1 to 50 Hz without delay, common average"
         f". Dotted: one standard deviation over {'participants' if several else 'moves'}. "
-        + (
-            AVERAGES
-            if whose["visit"] == AVERAGED
-            else "Grey bars below: clusters in which error and correct moves differ (permutation test, p < 0.05)."
-        ),
+        + (AVERAGES if whose["visit"] == AVERAGED else _told_of_bars(tested, differ, several)),
     )
+
+
+def _told_of_bars(tested: Sequence[Row], differ: bool, several: bool) -> str:
+    """What the bars below are, or why there are none."""
+    if differ:
+        return "Grey bars below: clusters in which error and correct moves differ (permutation test, p < 0.05)."
+    if tested:
+        least = min(row["p"] for row in tested)
+        return f"Error and correct moves differ nowhere (permutation test of clusters, p = {least:.3f} at the least)."
+    return f"Whether error and correct moves differ isn't tested{_why_not(several)}."
+
+
+def _why_not(several: bool) -> str:
+    """Why clusters aren't tested."""
+    return f", for that needs {f'{FEWEST_PARTICIPANTS} participants' if several else f'{FEWEST} moves of each kind'}"
 
 
 AVERAGES = "The participant's visits are averaged, each counting alike; tests are within each visit, in the tables."
@@ -166,6 +181,7 @@ def by_area(tables: Tables, source: str) -> Drawn | None:
         return None
     channel, whose = rows[0]["channel"], _whose(rows)
     clusters = those(tables.get("erp_clusters", []), source=source, channel=channel, **whose)
+    banded = shaded = False
     with matplotlib.rc_context(LOOK):
         figure, grid = sheet(1, 3, 2.9, sharey=True, sharex=True)
         for axes, name in zip(grid[0], names, strict=False):
@@ -175,7 +191,8 @@ def by_area(tables: Tables, source: str) -> Drawn | None:
                 axes.plot(time, mean, **CONDITIONS[condition])
                 if wave[0]["n"] >= FEWEST_FOR_A_BAND:
                     axes.fill_between(time, low, high, color=CONDITIONS[condition]["color"], alpha=0.15, linewidth=0)
-            _shade(axes, those(clusters, comparison=f"error - correct, {name}"))
+                    banded = True
+            shaded |= _shade(axes, those(clusters, comparison=f"error - correct, {name}"))
             axes.set_title(f"{name} area{_counted(those(rows, area=name))}")
         for name in names:
             wave = those(rows, area=name, condition="difference")
@@ -184,6 +201,7 @@ def by_area(tables: Tables, source: str) -> Drawn | None:
             grid[0, 2].plot(time, mean, **look)
             if wave[0]["n"] >= FEWEST_FOR_A_BAND:
                 grid[0, 2].fill_between(time, low, high, color=look["color"], alpha=0.15, linewidth=0)
+                banded = True
         grid[0, 2].set_title("error less correct")
         for axes in grid[0]:
             _zero(axes)
@@ -194,13 +212,13 @@ def by_area(tables: Tables, source: str) -> Drawn | None:
             Line2D([], [], label=f"{name} area", linestyle=line, color=AREA_LOOKS[name]["color"])
             for name, line in zip(names, ("-", "--"), strict=True)
         ]
-        if clusters:
+        if shaded:
             handles.append(Patch(color=SHADE, label="differ, p < 0.05"))
         figure.legend(handles=handles, loc="outside lower center", ncols=5)
     sizes = {name: _size(those(rows, area=name, condition="difference")) for name in names}
     p = min((row["p"] for row in those(clusters, comparison="error, central - edge")), default=None)
     told = "; ".join(f"{name} {size:.1f} µV" for name, size in sizes.items())
-    tested = "not tested, for there are too few" if p is None else f"p = {p:.3f} at the least"
+    tested = f"not tested{_why_not(whose['participant'] == 'all')}" if p is None else f"p = {p:.3f} at the least"
     if whose["visit"] == AVERAGED:
         tested = "tested within each visit, in the tables"
     return Drawn(
@@ -209,8 +227,9 @@ def by_area(tables: Tables, source: str) -> Drawn | None:
         f"Waveforms at {channel} in the central and the edge area. From the negative to the positive peak of the "
         f"difference: {told}. Error moves, central against edge: {tested}.",
         "As the paper's Fig. 11. Edge: within two cells of the wall (decided; the paper's Fig. 10 is a drawing). "
-        "Shaded: clusters in which error and correct moves differ (permutation test). Bands: 95 % intervals, from "
-        f"three on. Error moves in the central area against those at the edge: {tested}.",
+        + ("Shaded: clusters in which error and correct moves differ (permutation test). " if shaded else "")
+        + ("Bands: 95 % intervals. " if banded else "")
+        + f"Error moves in the central area against those at the edge: {tested}.",
     )
 
 
@@ -221,13 +240,15 @@ def _counted(rows: Sequence[Row]) -> str:
     """How many error and correct moves, or participants, a panel's means are of."""
     n = {name: those(list(rows), condition=name)[0]["n"] for name in ("error", "correct")}
     several = rows[0]["participant"] == "all"
-    return f", {n['error']} participants" if several else f", n = {n['error']} and {n['correct']}"
+    return f", {count(n['error'], 'participant')}" if several else f", n = {n['error']} and {n['correct']}"
 
 
-def _shade(axes: Axes, clusters: Sequence[Row]) -> None:
+def _shade(axes: Axes, clusters: Sequence[Row]) -> bool:
+    """Shades where two waveforms differ; whether they do."""
     for row in clusters:
         if row["begin_ms"] is not None:
             axes.axvspan(row["begin_ms"], row["end_ms"], color=SHADE, linewidth=0, zorder=0)
+    return any(row["begin_ms"] is not None for row in clusters)
 
 
 def _size(wave: Sequence[Row]) -> float:
@@ -243,7 +264,7 @@ def in_a_row(tables: Tables) -> Drawn | None:
     source = "online" if those(everything, source="online") else "calibration"
     # Means over participants, or over one's visits, come after those that they are of.
     whose = _whose(those(everything, source=source)[-1:])
-    few = 3 if whose["participant"] == "all" else FEWEST
+    few = FEWEST_PEOPLE if whose["participant"] == "all" else FEWEST
     rows = [row for row in those(everything, source=source, **whose) if row["n"] >= few]
     if not rows:
         return None
@@ -257,17 +278,16 @@ def in_a_row(tables: Tables) -> Drawn | None:
         look = {"color": BLACK, "marker": "D", "markerfacecolor": "white", "linestyle": "none"}
         axes.plot(level + 0.08, peaks, label="peak to peak of the mean, as in the paper", **look)
         axes.axhline(0, color=GREY, linewidth=0.8)
-        labels = [f"{row['errors_in_a_row']}\nn = {row['n']}" for row in rows]
+        labels = [f"{level_name(row)}\nn = {row['n']}" for row in rows]
         axes.set_xticks(level, labels)
-        axes.set(xlabel="errors in a row", ylabel=f"{rows[0]['channel']}: positive less\nnegative peak (µV)")
+        axes.set(
+            xlabel=f"errors in a row (n: {unit_of(rows[0])})",
+            ylabel=f"{rows[0]['channel']}: positive less\nnegative peak (µV)",
+        )
         axes.legend(loc="best")
     trend = those(tables.get("errors_in_a_row_trend", []), source=source, **whose)
-    slope = "".join(
-        f" Over the first four: {row['slope']:+.2f} µV an error [{row['low']:+.2f}, {row['high']:+.2f}], p = "
-        f"{row['p']:.3f}."
-        for row in trend
-    )
-    told = "; ".join(f"{row['errors_in_a_row']}: {row['mean']:.1f} µV" for row in rows)
+    slope = "".join(f" Over the first four: {_slope(row)}." for row in trend)
+    told = "; ".join(f"{level_name(row)}: {row['mean']:.1f} µV" for row in rows)
     return Drawn(
         figure,
         f"Error potential and errors in a row, {WHERE[source]}",
@@ -275,6 +295,13 @@ def in_a_row(tables: Tables) -> Drawn | None:
         "As the paper's Fig. 13. A mean of few moves has large peaks by chance, so the paper's measure (diamonds) "
         f"grows where moves are few; the mean of each move around the peaks (dots, 95 % intervals) doesn't.{slope}",
     )
+
+
+def _slope(row: Row) -> str:
+    text = f"{row['slope']:+.2f} µV an error"
+    if row["p"] is None:
+        return text
+    return f"{text} [{row['low']:+.2f}, {row['high']:+.2f}], p = {row['p']:.3f}"
 
 
 def _at(wanted: str, rows: list[Row]) -> list[Row]:

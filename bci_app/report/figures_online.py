@@ -11,8 +11,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 from bci_app.gridworld import FREE
-from bci_app.report import Row, Tables, distinct, those
-from bci_app.report.drawing import AREA_LOOKS, FEWEST_FOR_A_BAND, LOOK, Drawn, looks, percent
+from bci_app.report import Row, Tables, count, distinct, those
+from bci_app.report.drawing import AREA_LOOKS, FEWEST_FOR_A_BAND, LOOK, Drawn, looks, percent, run_names
 from bci_app.report.figures_erp import head_map
 from bci_app.report.steps import BORDER, area_of, way
 from decoder.montage import canonical, template
@@ -61,7 +61,7 @@ def ways(tables: Tables, participant: str, visit: str, run: str) -> Drawn | None
     return Drawn(
         figure,
         f"Ways on {title(moves[0]['map']).lower()}, {participant}, {run}",
-        f"{len(episodes)} small maps with the agent's way from start to goal; {reached} reached it, in "
+        f"{count(len(episodes), 'small map')} with the agent's way from start to goal; {reached} reached it, in "
         f"{np.mean([row['steps'] for row in episodes]):.1f} steps in the mean.",
         "Above each map the initial distance to the goal and the steps made. Crosses: after a move that was an error.",
     )
@@ -102,7 +102,7 @@ def by_distance(tables: Tables) -> Drawn | None:
         for axes in grid[0]:
             axes.set(xlabel="initial distance to the goal (moves)", xlim=(0, longest + 1))
         n = {name: sum(row["n_episodes"] for row in those(rows, map=name)) for name in maps}
-        handles = [Line2D([], [], label=f"{title(name)} ({n[name]} episodes)", **style[name]) for name in maps]
+        handles = [Line2D([], [], label=f"{title(name)} ({count(n[name], 'episode')})", **style[name]) for name in maps]
         handles.append(Line2D([], [], color=GREY, linestyle=":", label="shortest way"))
         figure.legend(handles=handles, loc="outside lower center", ncols=4)
     told = "; ".join(
@@ -153,8 +153,10 @@ def areas(tables: Tables) -> Drawn | None:
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
     tests = tables.get("area_test", [])
     group = those(tests, participant="all") or tests
+    names = _names_of(rows)
     told = "; ".join(
-        f"{title(row['map']).lower()}: central {percent(row['central'])}, edge {percent(row['edge'])}, difference "
+        f"{names.get((row['participant'], row['visit'], row.get('run')), '')}{title(row['map']).lower()}: central "
+        f"{percent(row['central'])}, edge {percent(row['edge'])}, difference "
         f"{100 * row['difference']:+.1f} points [{100 * row['low']:+.1f}, {100 * row['high']:+.1f}], p = "
         f"{row['p']:.3f} ({row['test']})"
         for row in group
@@ -167,6 +169,17 @@ def areas(tables: Tables) -> Drawn | None:
         "the paper's Fig. 10 is a drawing without numbers, and it tells no test). Bars: Wilson's 95 % intervals. "
         f"{told}.",
     )
+
+
+def _names_of(rows: list[Row]) -> dict[tuple[str, str, str | None], str]:
+    """Each run as its panel names it, to begin a result with; nothing where each map has but one."""
+    names: dict[tuple[str, str, str | None], str] = {}
+    for name in distinct(rows, "map"):
+        here = those(rows, map=name)
+        runs = list(dict.fromkeys((row["participant"], row["visit"], row["run"]) for row in here))
+        if len(runs) > 1:
+            names |= {run: f"{called}, " for run, called in zip(runs, run_names(runs), strict=True)}
+    return names
 
 
 def _draw_areas(axes: Axes, layout: list[str]) -> None:
@@ -186,7 +199,7 @@ def _draw_accuracy(axes: Axes, rows: list[Row]) -> None:
     """By run; of a single one also of errors and of correct moves."""
     runs = list(dict.fromkeys((row["participant"], row["visit"], row["run"]) for row in rows))
     measures = ("accuracy", "hit_rate", "correct_rejection_rate") if len(runs) == 1 else ("accuracy",)
-    labels = _numbered(rows) if len(runs) == 1 else _named(runs)
+    labels = _numbered(rows) if len(runs) == 1 else run_names(runs)
     for area, look in AREA_LOOKS.items():
         for number, (who, visit, run) in enumerate(runs):
             for row in those(rows, participant=who, visit=visit, run=run, area=area):
@@ -200,17 +213,6 @@ def _draw_accuracy(axes: Axes, rows: list[Row]) -> None:
     axes.set_xticks(range(len(labels)), labels, rotation=45 if len(labels) > 8 else 0)
     axes.axhline(50, color=GREY, linestyle=":", linewidth=1)
     axes.set(ylabel="right verdicts (%)", ylim=(None, 102), xlim=(-0.5, len(labels) - 0.5))
-
-
-def _named(runs: Sequence[tuple[str, str, str]]) -> list[str]:
-    """Runs by participant, by visit where there are several of one, and by themselves where a visit has several."""
-    visits = dict.fromkeys((who, visit) for who, visit, _ in runs)
-    return [
-        who
-        + (f" {visit}" if sum(each[0] == who for each in visits) > 1 else "")
-        + (f", {run}" if sum(each[:2] == (who, visit) for each in runs) > 1 else "")
-        for who, visit, run in runs
-    ]
 
 
 def _numbered(rows: list[Row]) -> list[str]:

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from bci_app.report import Row, Tables, by_person, distinct, those
-from bci_app.report.drawing import LOOK, Drawn, looks, percent, with_interval, words
+from bci_app.report.drawing import LOOK, PEOPLE_LOOKS, Drawn, looks, percent, run_names, with_interval, words
 from policy.experiment1.plotting import BLACK, BLUE, GREY, sheet
 
 MEASURES = {
@@ -42,8 +42,8 @@ def accuracy(tables: Tables) -> Drawn | None:
                     for row in found:
                         with_interval(axes, place + offset, row, markersize=4, **style[source])
             axes.axhline(50, color=GREY, linestyle=":", linewidth=1)
-            axes.axhline(GATE, color=GREY, linestyle="--", linewidth=1)
             labels = people if measure else list(MEASURES.values())
+            _gate(axes, measure)
             axes.set_xticks(range(len(places)), labels, rotation=45 if measure and len(people) > 8 else 0)
             label = MEASURES[measure].replace(chr(10), " ") if measure else "value with 95 % interval"
             axes.set(ylabel=f"{label} (%)", ylim=(None, 101))
@@ -61,9 +61,18 @@ def accuracy(tables: Tables) -> Drawn | None:
         "How often verdicts are right",
         f"Points with intervals. Balanced accuracy{' in the mean' if len(people) > 1 else ''}: {told}.",
         "Bars are 95 % intervals: Wilson's for shares, MOVER's for the balanced accuracy, DeLong's for the area under "
-        "the ROC curve. n counts moves. Chance is that of the balanced measures. Neighbouring epochs resemble each "
-        "other, so believe contiguous folds where the two differ.",
+        "the ROC curve. n counts moves. The gate is of plain accuracies, chance that of the balanced measures. "
+        "Neighbouring epochs resemble each other, so believe contiguous folds where the two differ.",
     )
+
+
+def _gate(axes: Axes, measure: str | None) -> None:
+    """The paper's gate, where plain accuracies are: all over a panel of them, or over their place among measures."""
+    look: dict[str, Any] = {"color": GREY, "linestyle": "--", "linewidth": 1}
+    if measure == "accuracy":
+        axes.axhline(GATE, **look)
+    elif measure is None:
+        axes.plot((-0.4, 0.4), (GATE, GATE), **look)
 
 
 def _moves(rows: list[Row]) -> str:
@@ -95,6 +104,7 @@ def decisions(tables: Tables) -> Drawn | None:
     told = "; ".join(
         f"{words(name)} {mean:.3f}" for name in sources if (mean := _mean(those(areas, source=name))) is not None
     )
+    bars = bool(tables.get("reliability")) and not _several(tables["reliability"])
     return Drawn(
         figure,
         "Mistakes, ROC curve and reliability",
@@ -103,8 +113,14 @@ def decisions(tables: Tables) -> Drawn | None:
         f"curves; area under them: {told}. Right: share of errors among moves that were said to be errors with some "
         "probability.",
         "Left: counts, and shares of each row. Middle: the dot is where verdicts are given (log odds of 0). Right: "
-        "points on the diagonal are probabilities that hold; bars are Wilson's 95 % intervals.",
+        f"{'points' if bars else 'lines'} on the diagonal are probabilities that hold"
+        + ("; bars are Wilson's 95 % intervals." if bars else "."),
     )
+
+
+def _several(rows: list[Row]) -> bool:
+    """Whether they are of several participants, whose curves have neither marks nor bars of their own."""
+    return len(distinct(rows, "participant")) > 1
 
 
 def _confusion(axes: Axes, rows: list[Row], source: str) -> np.ndarray:
@@ -143,7 +159,7 @@ def _curves(rows: list[Row]) -> list[list[Row]]:
 
 def _reliability(axes: Axes, rows: list[Row], style: dict[str, dict[str, Any]]) -> None:
     axes.plot([0, 1], [0, 1], color=GREY, linestyle=":", linewidth=1)
-    several = len(distinct(rows, "participant")) > 1
+    several = _several(rows)
     for source in distinct(rows, "source"):
         for curve in _curves(those(rows, source=source)):
             said, happened = (np.array([row[name] for row in curve]) for name in ("said", "happened"))
@@ -156,30 +172,67 @@ def _reliability(axes: Axes, rows: list[Row], style: dict[str, dict[str, Any]]) 
 
 
 def learning_curve(tables: Tables) -> Drawn | None:
-    """What was expected of the decoder after each block of the calibration."""
+    """What was expected of the decoder after each block of the calibration: with its interval for one calibration, by
+    name for several, in the mean beside all for many."""
     rows = tables.get("learning_curve", [])
     if not rows:
         return None
+    curves = _curves(rows)
     with matplotlib.rc_context(LOOK):
         figure, grid = sheet(1, 1, 2.7)
-        axes, curves = grid[0, 0], _curves(rows)
-        for curve in curves:
-            n = [row["n_epochs"] for row in curve]
-            value, low, high = (
-                100 * np.array([row[f"balanced_accuracy{end}"] for row in curve]) for end in ("", "_low", "_high")
-            )
-            alone = len(curves) == 1
-            axes.plot(n, value, color=BLUE, marker="o", alpha=1 if alone else 0.6, label="expected" if alone else None)
-            if alone:
-                axes.fill_between(n, low, high, color=BLUE, alpha=0.15, linewidth=0, label="95 % interval")
-        axes.axhline(GATE, color=GREY, linestyle="--", linewidth=1, label="the paper's gate, 70 %")
+        axes = grid[0, 0]
+        if len(curves) == 1:
+            n, value, low, high = _learnt(curves[0])
+            axes.plot(n, value, color=BLUE, marker="o", label="expected")
+            axes.fill_between(n, low, high, color=BLUE, alpha=0.15, linewidth=0, label="95 % interval")
+        else:
+            _learning_curves(axes, curves)
         axes.set(xlabel="valid epochs of the calibration", ylabel="balanced accuracy (%)", xlim=(0, None))
-        figure.legend(loc="outside lower center", ncols=3)
-    last = [curve[-1]["sentence"] for curve in curves]
+        figure.legend(loc="outside lower center", ncols=4)
+    ends = [curve[-1]["sentence"] for curve in curves]
+    if len(curves) > 1:
+        ends = [f"{name}: {end}" for name, end in zip(_names(curves), ends, strict=True)]
+    band = "; the band is its 95 % interval" if len(curves) == 1 else ""
+    if len(curves) > NAMED:
+        band = f". Thick: the mean over participants, as far as all {len(curves)} calibrations go"
     return Drawn(
         figure,
         "Learning curve",
-        "Expected balanced accuracy against the number of epochs. " + (last[0] if len(last) == 1 else ""),
-        "What is expected of a decoder fitted on all epochs until then, after each block; the band is its 95 % "
-        "interval. The paper's gate looks at plain accuracy.",
+        "Expected balanced accuracy against the number of epochs. "
+        + (" ".join(ends) if len(curves) <= NAMED else f"{len(curves)} calibrations and their mean."),
+        f"What is expected of a decoder fitted on all epochs until then, after each block{band}.",
     )
+
+
+NAMED = 7
+"""Calibrations whose learning curves can be told apart by their looks, one each of `drawing.PEOPLE_LOOKS`."""
+
+
+def _learning_curves(axes: Axes, curves: list[list[Row]]) -> None:
+    """Of several calibrations."""
+    if len(curves) <= NAMED:
+        for name, curve, look in zip(_names(curves), curves, PEOPLE_LOOKS, strict=False):
+            axes.plot(*_learnt(curve)[:2], label=name, **look)
+        return
+    for number, curve in enumerate(curves):
+        label = f"each of {len(curves)} calibrations" if number == 0 else None
+        axes.plot(*_learnt(curve)[:2], color=GREY, alpha=0.5, linewidth=0.8, label=label)
+    n_blocks = min(map(len, curves))
+    blocks = [by_person([curve[block] for curve in curves], *_LEARNT[:2]) for block in range(n_blocks)]
+    n, value = (np.array([np.mean([row[name] for row in each]) for each in blocks]) for name in _LEARNT[:2])
+    axes.plot(n, 100 * value, color=BLACK, linewidth=3, marker="o", label="mean over participants")
+
+
+_LEARNT = ("n_epochs", "balanced_accuracy", "balanced_accuracy_low", "balanced_accuracy_high")
+
+
+def _learnt(curve: list[Row]) -> list[np.ndarray]:
+    """Epochs, and the balanced accuracy expected after them with its interval, per cent."""
+    return [
+        np.array([row[name] for row in curve], dtype=float) * (1 if name == "n_epochs" else 100) for name in _LEARNT
+    ]
+
+
+def _names(curves: list[list[Row]]) -> list[str]:
+    """Whose calibrations these are: by visit and run only where there are several."""
+    return run_names([(curve[0]["participant"], curve[0]["visit"], curve[0]["run"]) for curve in curves])

@@ -13,7 +13,7 @@ from scipy import stats
 
 from bci_app.report import AVERAGED, Row, by_person, distinct, those
 from bci_app.report.erp import PEAKS
-from bci_app.report.online import mean_interval
+from bci_app.report.online import mean_interval, over_people
 from bci_app.report.waveforms import Waveforms, nearest
 
 Array = NDArray[np.float64]
@@ -24,6 +24,12 @@ LAST = 8
 """Errors in a row that are looked at; more are counted with them (decided)."""
 FIRST_LEVELS = 4
 """Over which the paper's amplitude falls."""
+
+
+def level_name(row: Row) -> str:
+    """A number of errors in a row, in words."""
+    level = row["errors_in_a_row"]
+    return f"{level} or more" if level == LAST else str(level)
 
 
 def trial_amplitudes(waves: Waveforms) -> list[tuple[int, float]]:
@@ -47,7 +53,7 @@ def level_rows(waves: Waveforms, **where: object) -> list[Row]:
     rows = []
     for level in sorted({level for level, _ in sizes}):
         own = [size for each, size in sizes if each == level]
-        rows.append({**where, "errors_in_a_row": level, "n": len(own), **mean_interval(own)})
+        rows.append({**where, "errors_in_a_row": level, "n": len(own), "unit": "moves", **mean_interval(own)})
     place = waves.picks.index(nearest("Fz", waves.picks))
     for row in rows:
         mine = [move["error"] and min(LAST, move["errors_in_a_row"]) == row["errors_in_a_row"] for move in waves.moves]
@@ -72,7 +78,7 @@ def trend_row(waves: Waveforms, **where: object) -> list[Row]:
 
 
 def group_levels(rows: Sequence[Row]) -> list[Row]:
-    """Over participants: means of their means, each counting alike, with Student's interval over participants. Before
+    """Over participants: means of their means, each counting alike, with the interval of `over_people`. Before
     that the moves of a participant's visits are taken together. One participant's visits come as one, a single visit's
     rows stay as they are."""
     if len({(row["participant"], row["visit"]) for row in rows}) < 2:
@@ -84,8 +90,9 @@ def group_levels(rows: Sequence[Row]) -> list[Row]:
             mine = those(list(rows), source=source, errors_in_a_row=level)
             group = [_together(those(mine, participant=person)) for person in distinct(mine, "participant")]
             found.append(
-                {"participant": "all", "visit": None, "source": source, "errors_in_a_row": level, "n": len(group)}
-                | mean_interval([row["mean"] for row in group])
+                {"participant": "all", "visit": None, "source": source, "errors_in_a_row": level}
+                | {"n": len(group), "unit": "participants"}
+                | over_people([row["mean"] for row in group])
                 | {"peak_to_peak": float(np.mean([row["peak_to_peak"] for row in group]))}
                 | {"channel": group[0]["channel"]}
                 if several
@@ -112,16 +119,16 @@ def _together(rows: Sequence[Row]) -> Row:
 
 
 def group_trend(rows: Sequence[Row]) -> list[Row]:
-    """Over participants: the mean of their slopes, and Student's test of it. A participant's visits are averaged first.
-    Nothing with fewer than two participants."""
+    """Over participants: the mean of their slopes, and from `FEWEST_PEOPLE` on Student's interval and test of it. A
+    participant's visits are averaged first. Nothing with fewer than two participants."""
     found = []
     for source in distinct(list(rows), "source"):
         slopes = [row["slope"] for row in by_person(those(list(rows), source=source), "slope")]
         if len(slopes) < 2 or not np.ptp(slopes):
             continue
-        interval = mean_interval(slopes)
+        interval = over_people(slopes)
         values = {"slope": interval["mean"], "low": interval["low"], "high": interval["high"]}
-        p = float(stats.ttest_1samp(slopes, 0).pvalue)
+        p = None if interval["low"] is None else float(stats.ttest_1samp(slopes, 0).pvalue)
         found.append(
             {"participant": "all", "visit": None, "source": source, **values, "p": p}
             | {"n": len(slopes), "unit": "participants"}

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from bci_app.report import AVERAGED, Row, by_person, calibrations, distinct, published, those
+from bci_app.report import AVERAGED, FEWEST_PEOPLE, Row, by_person, calibrations, distinct, published, those
 from decoder.calibration import wilson
 
 PEOPLE = "Wang et al. 2022, people"
@@ -135,6 +135,14 @@ def mean_interval(values: Sequence[float]) -> dict[str, float | None]:
         return {"mean": mean, "low": None, "high": None}
     half = float(t.ppf(0.975, n - 1) * np.std(values, ddof=1) / np.sqrt(n))
     return {"mean": mean, "low": mean - half, "high": mean + half}
+
+
+def over_people(means: Sequence[float]) -> dict[str, float | None]:
+    """As `mean_interval`, of participants' means; without an interval for fewer than `FEWEST_PEOPLE`."""
+    found = mean_interval(means)
+    if len(means) < FEWEST_PEOPLE:
+        found |= {"low": None, "high": None}
+    return found
 
 
 def _of_several_runs(moves: Sequence[Row], source: str) -> list[Row] | None:

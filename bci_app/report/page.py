@@ -8,6 +8,8 @@ import re
 from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
+from importlib.metadata import version
 
 from jinja2 import Environment, PackageLoader
 
@@ -66,7 +68,13 @@ def render(title: str, summary: Sequence[str], sections: Sequence[Section]) -> s
     )
     environment.filters["data_uri"] = data_uri
     environment.tests["figure"] = lambda item: isinstance(item, Written)
-    return environment.get_template("report.html.jinja").render(title=title, summary=summary, sections=sections)
+    template = environment.get_template("report.html.jinja")
+    return template.render(title=title, summary=summary, sections=sections, made=made(datetime.now().astimezone()))
+
+
+def made(moment: datetime) -> str:
+    """When the page was made, and by what."""
+    return f"Made on {moment:%Y-%m-%d at %H:%M (%Z)} by bci-app {version('errp-bci')}."
 
 
 def data_uri(svg: bytes) -> str:

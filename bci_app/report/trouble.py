@@ -23,20 +23,28 @@ from bci_app.protocol import (
     Truth,
 )
 from bci_app.recording import Recording
-from bci_app.report import Row
+from bci_app.report import Row, count
 from decoder.timeline import piece_edges
 
 Event = tuple[float | None, str, str, str, str]
 """Stamp (s), kind, level, role, text."""
 
 
-def event_rows(recording: Recording, sidecar: Mapping[str, Any], **where: object) -> list[Row]:
+def event_rows(
+    recording: Recording, sidecar: Mapping[str, Any], went_on: tuple[str, str] | None = None, **where: object
+) -> list[Row]:
     """All that a reader must know, in order: notes, pauses, restarts, links that were lost, late frames, gaps, damage,
     and how the run ended. ``time_s`` counts from the first message, on the recorder's clock; None for what belongs to
-    no moment, or to one of a clock that isn't known."""
+    no moment, or to one of a clock that isn't known.
+
+    Parameters
+    ----------
+    went_on : names of this recording and of the one that goes on from it, if one does: then its early end is a note.
+    """
     placed, unknown = on_one_clock(recording)
     first = next((item.stamp for item in placed.messages if sender(item.message) not in unknown), 0.0)
-    said = sorted(((None if event[3] in unknown else event[0], *event[1:]) for event in _said(placed)), key=_moment)
+    events = (*_said(placed), *_ended(placed, went_on))
+    said = sorted(((None if event[3] in unknown else event[0], *event[1:]) for event in events), key=_moment)
     rows = []
     for stamp, kind, level, role, text in (*_of_file(recording, sidecar), *_of_clocks(unknown), *said):
         time = None if stamp is None else stamp - first
@@ -67,7 +75,7 @@ def _of_file(recording: Recording, sidecar: Mapping[str, Any]) -> Iterator[Event
             "gap",
             "warning",
             "",
-            f"The EEG has {len(gaps)} gaps of a second or more, {gaps[gaps > 0].sum():.1f} s together.",
+            f"The EEG has {count(len(gaps), 'gap')} of a second or more, {gaps[gaps > 0].sum():.1f} s together.",
         )
 
 
@@ -93,13 +101,24 @@ def _said(recording: Recording) -> Iterator[Event]:
     if late:
         jumps = sum(frame.step is not None for frame in late)
         worst = max(frame.late_ms for frame in late)
-        text = f"{len(late)} frames came late, {jumps} of them with a jump; the worst by {worst:.1f} ms."
+        text = f"{count(len(late), 'frame')} came late, {jumps} of them with a jump; the worst by {worst:.1f} ms."
         yield None, "late frame", "warning", "stimulus", text
-    ends = recording.of(SessionEnd)
-    if not ends:
+
+
+def _ended(recording: Recording, went_on: tuple[str, str] | None) -> Iterator[Event]:
+    """That the run didn't end as it should; a note where another recording went on from it."""
+    found = recording.of(SessionEnd)
+    stamp, end = found[-1] if found else (None, None)
+    if end is not None and end.reason == "complete":
+        return
+    if went_on is not None:
+        how = f"was {end.reason}: {end.text}" if end else "was broken off, or its recorder was."
+        role = "stimulus" if end else ""
+        yield stamp, "end", "info", role, f"{went_on[0][0].upper()}{went_on[0][1:]} {how} It went on in {went_on[1]}."
+    elif end is None:
         yield None, "end", "error", "", "The recording has no end: the run was broken off, or its recorder was."
-    elif ends[-1][1].reason != "complete":
-        yield ends[-1][0], "end", "error", "stimulus", f"The run was {ends[-1][1].reason}: {ends[-1][1].text}"
+    else:
+        yield stamp, "end", "error", "stimulus", f"The run was {end.reason}: {end.text}"
 
 
 def _pauses(recording: Recording) -> Iterator[Event]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -135,9 +136,7 @@ class _Look:
             moves=moves,
             episodes=episodes,
             latency=ledger.ledger_rows([ledger.samples(each, speed) for each in recordings], **where),
-            events=[
-                row for r, s in zip(recordings, run, strict=True) for row in trouble.event_rows(r, s.sidecar, **where)
-            ],
+            events=_event_rows(run, recordings, where),
             electrodes=trouble.electrode_rows(recording, moves, **where),
             rejected=trouble.rejected_rows(moves, **where),
             maps=[{"map": map_name, "row": row, "cells": line} for row, line in enumerate(opening[0][1].layout)],
@@ -174,10 +173,10 @@ class _Look:
         return judges(judge, electrodes(recording)), config
 
     def _decoder(self, recording: Recording, source: Source, task: str, where: Row) -> DecoderModel | None:
-        """The decoder fitted on a calibration, the newest, or that of an online run; None, and said, without."""
+        """The decoder beside a calibration, the newest, or that of an online run; None, and said, without."""
         path = _newest(recording.path) if task == "calibration" else _used(source)
         if path is None:
-            what = "No decoder was fitted on it" if task == "calibration" else "Its decoder isn't there"
+            what = "No decoder lies beside it" if task == "calibration" else "Its decoder isn't there"
             self._complain(where, [f"{what}: its EEG is looked at with the settings in its sidecar."])
             return None
         try:
@@ -272,6 +271,14 @@ class _Look:
 def _light(recording: Recording) -> Recording:
     """A recording without its EEG: half an hour is a quarter of a gigabyte."""
     return replace(recording, samples=recording.samples[:0].copy(), times=recording.times[:0].copy())
+
+
+def _event_rows(run: Sequence[Source], recordings: Sequence[Recording], where: Row) -> list[Row]:
+    """What a run's recordings tell of trouble; that one ended early is none where the next went on from it."""
+    names = [_name(each.path) for each in recordings]
+    went_on = [*pairwise(names), None]
+    parts = zip(recordings, run, went_on, strict=True)
+    return [row for each, source, pair in parts for row in trouble.event_rows(each, source.sidecar, pair, **where)]
 
 
 def _name(path: Path) -> str:

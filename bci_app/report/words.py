@@ -3,15 +3,26 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bci_app.report import Row, Tables, distinct, those
+from bci_app.report import FEWEST_PEOPLE, Row, Tables, count, distinct, those
 from bci_app.report.drawing import percent, words
+from bci_app.report.in_a_row import level_name
 from bci_app.report.online import PEOPLE
 from bci_app.report.page import Grid
+
+FEW = f"Over fewer than {FEWEST_PEOPLE} participants, and of a single move, there is no interval."
 
 
 def number(value: float | None, digits: int = 1) -> str:
     """A number for people; a dash where there is none."""
     return "–" if value is None else f"{value:.{digits}f}".replace("-", "−")
+
+
+def with_interval(value: float | None, low: float | None, high: float | None, digits: int = 1) -> str:
+    """A number with its interval, rounded alike, for what is rounded otherwise may lie outside; a dash where there is
+    none."""
+    if low is None or high is None:
+        return f"{number(value, digits)} [–]"
+    return f"{number(value, digits)} [{number(low, digits)}, {number(high, digits)}]"
 
 
 def with_bounds(row: Row, name: str) -> str:
@@ -159,13 +170,16 @@ def peaks(tables: Tables) -> Grid | None:
             row["source"],
             row["channel"],
             row["peak"],
+            _of(row),
             f"{row['time_ms']:.0f}",
-            f"{number(row['mean_uv'])} [{number(row['low_uv'])}, {number(row['high_uv'])}]",
+            with_interval(row["mean_uv"], row["low_uv"], row["high_uv"]),
         )
         for row in rows
     ]
-    head = ("Participant", "Moves of", "Channel", "Peak", "At (ms)", "Amplitude (µV)")
-    note = "Of error less correct. The interval is that of the mean at this moment, which was picked by its size."
+    head = ("Participant", "Moves of", "Channel", "Peak", "Mean of", "At (ms)", "Amplitude (µV)")
+    note = (
+        f"Of error less correct. The interval is that of the mean at this moment, which was picked by its size. {FEW}"
+    )
     return Grid("Peaks of the difference wave", head, lines, note=note) if rows else None
 
 
@@ -180,9 +194,9 @@ def area_tests(tables: Tables) -> list[Grid]:
                 row["map"],
                 percent(row["central"]),
                 percent(row["edge"]),
-                f"{number(100 * row['difference'])} [{number(100 * row['low'])}, {number(100 * row['high'])}]",
+                with_interval(*(100 * row[name] for name in ("difference", "low", "high"))),
                 f"{row['p']:.3f}",
-                f"{row['test']}, {row['n']} {row['unit']}",
+                f"{row['test']}, {_of(row)}",
             )
             for row in rows
         ]
@@ -198,7 +212,7 @@ def area_tests(tables: Tables) -> list[Grid]:
                 row["comparison"],
                 "none" if row["begin_ms"] is None else f"{row['begin_ms']:.0f} to {row['end_ms']:.0f}",
                 f"{row['p']:.3f}",
-                f"{row['n']} {row['unit']}",
+                _of(row),
             )
             for row in clusters
         ]
@@ -217,15 +231,21 @@ def levels(tables: Tables) -> Grid | None:
         (
             who(row),
             row["source"],
-            str(row["errors_in_a_row"]),
-            str(row["n"]),
-            f"{number(row['mean'])} [{number(row['low'])}, {number(row['high'])}]",
+            level_name(row),
+            _of(row),
+            with_interval(row["mean"], row["low"], row["high"]),
             number(row["peak_to_peak"]),
         )
         for row in rows
     ]
-    head = ("Participant", "Moves of", "Errors in a row", "n", "Mean around the peaks (µV)", "Peak to peak (µV)")
-    return Grid("Size of the error potential by errors in a row", head, lines) if rows else None
+    head = ("Participant", "Moves of", "Errors in a row", "Mean of", "Mean around the peaks (µV)", "Peak to peak (µV)")
+    return Grid("Size of the error potential by errors in a row", head, lines, note=FEW) if rows else None
+
+
+def _of(row: Row) -> str:
+    """What a row's mean or test is of."""
+    unit = row["unit"].removesuffix("s")
+    return count(row["n"], unit)
 
 
 def _maps(tables: Tables) -> list[str]:

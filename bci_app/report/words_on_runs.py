@@ -29,7 +29,11 @@ def runs(tables: Tables) -> Grid:
         )
         for row in tables["runs"]
     ]
-    return Grid("All runs", head, rows)
+    speeds = [row["speed"] for row in tables["runs"]]
+    if all(speed == 1 for speed in speeds):
+        return Grid("All runs", head, rows)
+    lines = [(*row, f"{speed:g} times") for row, speed in zip(rows, speeds, strict=True)]
+    return Grid("All runs", (*head, "Speed"), lines, note="Speed: session seconds a real second.")
 
 
 def ledger(tables: Tables) -> list[Grid]:

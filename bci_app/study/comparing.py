@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from bci_app.report import FEWEST_PEOPLE
+
 Array = NDArray[np.float64]
 
 
@@ -78,13 +80,13 @@ def success(share: float, n: int) -> dict[str, float]:
 
 def share(right: Sequence[int], n: Sequence[int]) -> tuple[float, float | None, float | None]:
     """Share of right ones, of all participants together, with a 95 % interval over participants; None for the bounds
-    where there is but one.
+    where there are fewer than `FEWEST_PEOPLE`.
 
     Student's, of the ratio estimator as in `ratio`.
     """
     a, b = np.asarray(right, dtype=float), np.asarray(n, dtype=float)
     value = float(a.sum() / b.sum())
-    if len(a) < 2:
+    if len(a) < FEWEST_PEOPLE:
         return value, None, None
     half = float(stats.t.ppf(0.975, len(a) - 1) * (a - value * b).std(ddof=1) / sqrt(len(a)) / b.mean())
     return value, max(0.0, value - half), min(1.0, value + half)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bci_app.errors import SetupError
-from bci_app.report import Row, Tables, page, words
+from bci_app.report import FEWEST_PEOPLE, Row, Tables, count, page, words
 from bci_app.report.drawing import percent
 from bci_app.report.making import write_tables
 from bci_app.report.page import Grid, Section
@@ -58,9 +58,11 @@ def _first(
     kinds = [person["kind"] for person in people]
     who = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
     how = "the real processes over LSL" if through == "processes" else "the same functions in one process, without LSL"
+    if through == "processes" and study.speed != 1 and any(kind != "real" for kind in kinds):
+        how += f" at {study.speed:g} times the speed" + (" (real ones at 1)" if "real" in kinds else "")
     if study.in_one_process and through == "processes":
         how += f", but for {', '.join(study.in_one_process)} in one process"
-    lines = [f"{len(people)} participants ({who}), through {how}. Every condition has the same episodes."]
+    lines = [f"{count(len(people), 'participant')} ({who}), through {how}. Every condition has the same episodes."]
     for row in rows:
         if row["group"] == tables.ALL and row["map"] == tables.ALL and row["condition"] != study.conditions[0]:
             lines.append(
@@ -113,10 +115,10 @@ def _of_condition(found: Tables, condition: str, maps: Sequence[str]) -> list[Gr
 def _steps(row: Row) -> str:
     if row["steps_vs_none"] is None:
         return "–"
-    text = f"{words.number(100 * row['steps_vs_none'])} %"
-    if row["steps_vs_none_low"] is not None:
-        low, high = (words.number(100 * row[f"steps_vs_none_{end}"]) for end in ("low", "high"))
-        text += f" [{low}, {high}]"
+    value, low, high = (row[f"steps_vs_none{end}"] for end in ("", "_low", "_high"))
+    text = f"{words.number(100 * value)} %"
+    if low is not None and high is not None:
+        text += f" [{words.number(100 * low)}, {words.number(100 * high)}]"
     return _together(text)
 
 
@@ -134,10 +136,11 @@ def _p(value: float | None) -> str:
     return "–" if value is None else "< 0.001" if value < 0.001 else f"{value:.3f}"
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def cells(row: Row) -> tuple[str, ...]:
+    """Success, steps and tests of a row of `tables.headline` or `tables.by_participant`, in words."""
     mean = words.number(row["mean_steps"], 2)
     if row["mean_steps_low"] is not None:
-        mean += f" [{words.number(row['mean_steps_low'])}, {words.number(row['mean_steps_high'])}]"
+        mean = words.with_interval(row["mean_steps"], row["mean_steps_low"], row["mean_steps_high"], 2)
     return (
         _together(words.with_bounds(row, "success")),
         _together(mean),
@@ -156,9 +159,9 @@ def _headlines(rows: Sequence[Row]) -> list[Grid]:
     grids: list[Grid] = []
     for group in dict.fromkeys(row["group"] for row in rows):
         mine = [row for row in rows if row["group"] == group]
-        lines = [(row["condition"], row["map"], str(row["participants"]), *_cells(row)) for row in mine]
+        lines = [(row["condition"], row["map"], str(row["participants"]), *cells(row)) for row in mine]
         caption = f"Participants: {group}"
-        grids.append(Grid(caption, ("Condition", "Map", "n", *_HEAD), lines, note=_NOTE if not grids else ""))
+        grids.append(Grid(caption, ("Condition", "Map", "People", *_HEAD), lines, note=_NOTE if not grids else ""))
     return grids
 
 
@@ -167,12 +170,13 @@ _NOTE = (
     "participants with Student's, failed episodes with their steps. Against no ErrP: ratio of the means over "
     "participants, each paired with themselves; paired t test, and Wilcoxon's signed-rank test. All intervals are of "
     "95 %. Without verdicts the agent moves the same with everybody, for the episodes are the same: intervals are over "
-    "people, for these episodes."
+    f"people, for these episodes. Over fewer than {FEWEST_PEOPLE} participants there is neither interval nor test: "
+    "those of each participant are below."
 )
 
 
 def _people(rows: Sequence[Row], condition: Condition) -> Grid:
-    lines = [(row["participant"], row["map"], *_cells(row)) for row in rows if row["condition"] == condition]
+    lines = [(row["participant"], row["map"], *cells(row)) for row in rows if row["condition"] == condition]
     note = "Intervals and tests over a participant's episodes, each paired with the same episode without ErrP."
     return Grid(f"Each participant, condition {condition}", ("Participant", "Map", *_HEAD), lines, note=note)
 
@@ -205,12 +209,15 @@ def _where(rows: Sequence[Row]) -> Grid:
             row["condition"],
             said[row["of"]],
             "5 or more" if row["level"] == "5" else row["level"],
-            str(row["n"]),
+            f"{row['n']:,}",
+            str(row["participants"]),
             words.with_bounds({"right": row["right"], "right_low": row["low"], "right_high": row["high"]}, "right"),
         )
         for row in rows
     ]
-    return Grid("Right verdicts of all participants", ("Condition", "By", "Where", "Moves", "Right"), lines)
+    note = f"Of all moves together; intervals are over participants, from {FEWEST_PEOPLE} on."
+    head = ("Condition", "By", "Where", "Moves", "People", "Right")
+    return Grid("Right verdicts of all participants", head, lines, note=note)
 
 
 def _choices(rows: Sequence[Row]) -> Grid:

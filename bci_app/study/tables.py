@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bci_app.report import Row, Tables, calibrations, online, published
+from bci_app.report import FEWEST_PEOPLE, Row, Tables, calibrations, online, published
 from bci_app.study.comparing import mean, ratio, share, success
 
 Person = Mapping[str, Any]
@@ -41,7 +41,9 @@ def episodes(person: Person, condition: str, maps: Sequence[str]) -> list[Row]:
     return rows
 
 
-OVER_PEOPLE = ("mean_steps_low", "mean_steps_high", "steps_vs_none_low", "steps_vs_none_high", "p", "p_ranks")
+OVER_PAIRS = ("steps_vs_none_low", "steps_vs_none_high", "p", "p_ranks")
+OVER_PEOPLE = ("mean_steps_low", "mean_steps_high", *OVER_PAIRS)
+"""What is told of three participants or more, and not of fewer."""
 
 
 def compared(people: Sequence[Person], condition: str, against: str, maps: Sequence[str]) -> Row | None:
@@ -125,9 +127,11 @@ def headline(people: Sequence[Person], conditions: Sequence[str], maps: Sequence
         for condition in conditions:
             for name in (*maps, ALL):
                 found = compared(those, condition, conditions[0], maps if name == ALL else [name])
-                if found is not None and found["participants"] == 1:
-                    found |= dict.fromkeys(set(OVER_PEOPLE) & set(found))
                 if found is not None:
+                    if found["participants"] < FEWEST_PEOPLE:
+                        found |= dict.fromkeys(OVER_PEOPLE)
+                    elif found["n_pairs"] < FEWEST_PEOPLE:
+                        found |= dict.fromkeys(OVER_PAIRS)
                     rows.append({"group": group, "condition": condition, "map": name, **found})
     return rows
 
