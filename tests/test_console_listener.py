@@ -40,7 +40,13 @@ def test_it_finds_the_session_that_runs_and_asks_which_of_several() -> None:
         asks = Listener("bci-console", "first")
         running = Status(session="first", role="session", state="running")
         leader.push(running, 1.0)
-        until(lambda: asks.of("Returned"), 30, "to be asked", lambda: leader.push(running, 1.0))
+
+        def say_so() -> None:
+            """Twenty times a second: who floods a listener keeps it from ever speaking."""
+            leader.push(running, 1.0)
+            console.ended.wait(0.05)
+
+        until(lambda: asks.of("Returned"), 30, "to be asked", say_so)
         opening = SessionStart(session="first", task="online", participant="P", map="open", layout=["..", ".."])
         start = EpisodeStart(session="first", episode=3, position=(0, 1), sensed=(False,) * 5, max_steps=60)
         said = (Said(stamp=1.0, message=opening), Said(stamp=2.0, message=start))
