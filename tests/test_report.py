@@ -231,7 +231,7 @@ def test_the_page_tells_when_and_by_what_it_was_made_and_how_fast_sessions_were(
     text, _ = page
     (foot,) = re.findall(r"<footer>(.*)</footer>", text)
     assert re.fullmatch(rf"Made on \d{{4}}-\d\d-\d\d at \d\d:\d\d \(.+\) by bci-app {version('errp-bci')}\.", foot)
-    assert text.count("<td>2 times</td>") == len(WISHES)
+    assert text.count("<td>simulated, speed 2</td>") == len(WISHES)
 
 
 def test_no_heading_is_said_twice_and_no_mark_is_left_raw(page: tuple[str, Page]) -> None:

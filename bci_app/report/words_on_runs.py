@@ -24,16 +24,14 @@ def runs(tables: Tables) -> Grid:
             number(row["seconds"] / 60),
             row["ended"],
             row["policy"] or "–",
-            {True: "simulated", False: "real", None: "not known"}[row["simulated"]],
+            {True: "simulated", False: "real", None: "not known"}[row["simulated"]]
+            + (f", speed {row['speed']:g}" if row["speed"] != 1 else ""),
             f"{row['amplifier']}, {row['n_channels']} channels, {row['sfreq_hz']:g} Hz",
         )
         for row in tables["runs"]
     ]
-    speeds = [row["speed"] for row in tables["runs"]]
-    if all(speed == 1 for speed in speeds):
-        return Grid("All runs", head, rows)
-    lines = [(*row, f"{speed:g} times") for row, speed in zip(rows, speeds, strict=True)]
-    return Grid("All runs", (*head, "Speed"), lines, note="Speed: session seconds a real second.")
+    is_fast = any(row["speed"] != 1 for row in tables["runs"])
+    return Grid("All runs", head, rows, note="Speed: session seconds a real second." if is_fast else "")
 
 
 def ledger(tables: Tables) -> list[Grid]:
