@@ -14,12 +14,10 @@ from bci_app import threads  # noqa: F401  isort: skip  -- before anything loads
 from bci_app import bids_cli, policy_cli, process_cli, study_cli
 from bci_app import config as configuration
 from bci_app.crew import beside
-from bci_app.errors import LinkLost, SetupError
+from bci_app.errors import INTERRUPTED, LinkLost, SetupError
 from bci_app.protocol import PROTOCOL_VERSION
 from bci_app.runs import read_sidecar
 from bci_app.terminal import finish, print_json, progress_bar, show_settings
-
-INTERRUPTED = 130
 
 
 class Verbs(TyperGroup):

@@ -54,7 +54,7 @@ RECORDED_WITHIN_S = 8.0
 HALT_TIMEOUT_S = 10.0
 """Real seconds a move under way may take until the run is stopped without waiting for its end."""
 LEAD_CYCLES = 4.5
-"""EEG recorded before the first move, in the same periods."""
+"""EEG recorded before the first move, in periods of the chain's lowest frequency."""
 LEAD_S = 8.0
 """Session seconds of EEG recorded before the first message, at least: the electrodes are judged on the last six."""
 REJECTED_IN_A_ROW = 10

@@ -1,7 +1,6 @@
 """A decoder in one file without pickle: safetensors with the numbers, JSON metadata with everything else."""
 
 import json
-import os
 import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from safetensors.numpy import save as save_tensors
 
 from bci_app.config import ChainConfig, ClassifierConfig
 from bci_app.errors import SetupError
-from bci_app.sealed import Damaged, card_of, seal
+from bci_app.sealed import Damaged, card_of, seal, write_new
 from decoder.calibration import Calibration, Scores
 from decoder.chain import Chain
 from decoder.classifier import LinearClassifier
@@ -148,29 +147,13 @@ def save(model: DecoderModel, path: Path) -> None:
         tensors |= {"ocular_sources": model.eyes.sources, "ocular_weights": model.eyes.weights}
     contents = seal(lambda words: save_tensors(tensors, metadata=words), _KEY, model.info.model_dump_json())
     try:
-        _create(path, contents)
+        write_new(path, contents)
     except FileExistsError as error:
         raise SetupError(
             f"There is a decoder {path} already, and decoders are never overwritten. Choose another name or move it."
         ) from error
     except OSError as error:
         raise SetupError(f"Can't write the decoder {path}: {error.strerror}. Free or unlock the disk.") from error
-
-
-def _create(path: Path, contents: bytes) -> None:
-    """Write a new file, whole or not at all. Raises FileExistsError where there is one."""
-    partial = path.with_name(f"{path.name}.partial")
-    partial.write_bytes(contents)
-    try:
-        os.link(partial, path)  # unlike a renamed file it never takes another one's place
-    except FileExistsError:
-        raise
-    except OSError:  # a disk without links
-        if path.exists():
-            raise FileExistsError from None
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def load(path: Path) -> DecoderModel:

@@ -79,7 +79,7 @@ class Reception:
         """Session seconds by which they come later than in the beginning; 0 for less than matters."""
         self._rate_times = np.empty(0)
         self._rate_is_off = False
-        self.n_gaps = self.n_silences = self.n_reconnects = 0
+        self.n_gaps = self.n_reconnects = 0
         self._n_lately, self._lately_since = 0, -np.inf
         self.rate_hz: float | None = None
         """Samples a session second, lately."""
@@ -101,6 +101,11 @@ class Reception:
         if self._is_short and self._is_whole() and self.is_known and not self._is_other_link and not self.moved_s:
             self._is_short = False
         return remarks
+
+    @property
+    def n_silences(self) -> int:
+        """How often it fell silent: what was asked before the last time tells nothing any more."""
+        return self.n_reconnects + self.is_silent
 
     @property
     def is_to_be_asked(self) -> bool:
@@ -145,7 +150,6 @@ class Reception:
             return [("info", f"The EEG is back after {before:.1f} s.")]
         if not self.is_silent and self.quiet_s > SILENCE_S:
             self.is_silent = self._is_short = True
-            self.n_silences += 1
             return [("error", f"No EEG sample for {SILENCE_S:g} s.")]
         return []
 

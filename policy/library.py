@@ -5,7 +5,6 @@ sweep that was interrupted goes on with what is missing, and a cluster needs no 
 """
 
 import json
-import os
 import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -16,6 +15,7 @@ from uuid import uuid4
 from bci_app.errors import SetupError
 from bci_app.gridworld import GridWorld, load_map
 from bci_app.progress import Progress
+from bci_app.sealed import write_new
 from policy import teachers
 from policy.actor_critic import ActorCriticSettings
 from policy.cards import SUFFIX, Recipe, check_fits, policy_name
@@ -257,7 +257,8 @@ def _sweep(jobs: Sequence[Job], folder: Path, pool: Pool, progress: Progress, wh
 def _keep(path: Path, contents: bytes) -> None:
     """Write what a job made; where that can't be, elsewhere, and raise SetupError."""
     try:
-        write_new(path, contents)
+        # One job may run twice at once, on two machines of a cluster.
+        write_new(path, contents, path.with_name(f"{path.name}.{uuid4().hex}.partial"))
     except OSError as error:
         handle, elsewhere = tempfile.mkstemp(prefix=f"{path.stem}_", suffix=path.suffix)
         with open(handle, "wb") as file:
@@ -266,22 +267,6 @@ def _keep(path: Path, contents: bytes) -> None:
             f"{path} can't be written ({error}), so it was kept as {elsewhere}. Move it to where it belongs; the same "
             "command goes on from there."
         ) from error
-
-
-def write_new(path: Path, contents: bytes) -> None:
-    """Write a file whole or not at all; FileExistsError when there is one by now, other OSErrors when it can't be."""
-    partial = path.with_name(f"{path.name}.{uuid4().hex}.partial")
-    try:
-        partial.write_bytes(contents)
-        try:
-            os.link(partial, path)
-        except FileExistsError:
-            raise
-        except OSError:  # a file system without links: take the name first, then replace our own empty file
-            path.open("xb").close()
-            partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _summary(failed: dict[str, Exception], n: int, what: str, folder: Path) -> Exception:

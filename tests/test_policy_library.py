@@ -299,7 +299,7 @@ def test_a_result_that_cant_be_written_is_kept_elsewhere(copy, square, tmp_path,
     lost.unlink()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
 
-    def full(path, contents):
+    def full(path, contents, partial):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(library, "write_new", full)

@@ -120,8 +120,8 @@ def _papers_accuracy(person: Person) -> float:
 
 
 def headline(people: Sequence[Person], conditions: Sequence[str], maps: Sequence[str], papers_gate: float) -> list[Row]:
-    """Each condition by group of participants and map, and on all maps together. Of a single participant there are no
-    intervals and no tests over participants."""
+    """Each condition by group of participants and map, and on all maps together. Over fewer than
+    `FEWEST_PEOPLE` participants there are no intervals and no tests."""
     rows = []
     for group, those in groups(people, papers_gate).items():
         for condition in conditions:
