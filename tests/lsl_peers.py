@@ -71,6 +71,11 @@ class ForeignAmplifier:
         shift = self._sent * (1 / self._rate - 1 / delivered)
         self._started, self._rate = self._started + shift, delivered
 
+    @property
+    def next_stamp(self) -> float:
+        """The stamp of the next sample to be sent, where samples come at their rate."""
+        return self._started + self._clock_s + self._sent / self._rate
+
     def close(self) -> None:
         """Take the stream off the network, even where a failed test still holds this object."""
         self._outlet = None
