@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bci_app import certificate, certification, set_up, verbs
+from bci_app import certificate, certification, priority, set_up, verbs
 from bci_app.certification import NO_SCREEN, UNSEEN, Finding
 from bci_app.config import Config, changed
 from bci_app.eeg import EegDescription
@@ -92,7 +92,7 @@ def examine(wanted: Wanted, progress: Progress) -> dict[str, Any]:
     if flips is not None:
         findings.append(certification.onsets(flips, seen_ms if seen_ms is not None and len(seen_ms) else None))
     findings += [certification.markers(_heard_after(recording, ear)), *certification.stages(_ledger(recording, ear))]
-    about = _about(eeg, screen, recording, channel)
+    about = _about(config, eeg, screen, recording, channel)
     certificate.write(certificate.html(findings, about), page)
     if is_sure and seen_ms is not None and channel is not None:
         name = None if wanted.simulate else eeg.name
@@ -288,7 +288,9 @@ def _ledger(recording: Recording, ear: _Ear) -> dict[str, NDArray[np.float64]]:
     return {name: np.array(values, dtype=np.float64) for name, values in found.items()}
 
 
-def _about(eeg: EegDescription, screen: str, recording: Recording, channel: str | None) -> dict[str, str]:
+def _about(
+    config: Config, eeg: EegDescription, screen: str, recording: Recording, channel: str | None
+) -> dict[str, str]:
     packages = versions()
     return {
         "when": datetime.now().astimezone().isoformat(timespec="minutes"),
@@ -296,6 +298,7 @@ def _about(eeg: EegDescription, screen: str, recording: Recording, channel: str 
         "screen": screen,
         "EEG": f"'{eeg.name}', {len(eeg.picks)} EEG channels at {eeg.sfreq:g} Hz",
         "photodiode": channel or "none",
+        "priority": priority.sentence(priority.offered()) if config.priority != "normal" else "normal, as wished",
         "run": f"{len(recording.of(MoveOnset))} moves at real speed, all processes, recorded by LabRecorder",
         "versions": ", ".join(f"{name} {number}" for name, number in packages.items()),
     }

@@ -265,6 +265,9 @@ class Config(Section):
 
     recordings: str = "recordings"
     """Folder all recordings go to."""
+    priority: Literal["auto", "high", "normal"] = "auto"
+    """Whether the loop's processes go before all others of their computer, where the system lets them: `auto` has them
+    do so at real speed; of simulations at other speeds several may share the processors."""
     stimulus: StimulusConfig = StimulusConfig()
     calibration: CalibrationConfig = CalibrationConfig()
     online: OnlineConfig = OnlineConfig()

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from bci_app import certification, trial
+from bci_app import certification, priority, trial
 from bci_app.config import Config
 from bci_app.eeg import EegDescription
 from bci_app.errors import LinkLost, SetupError
@@ -56,7 +56,7 @@ def examine(config: Config, model_path: Path | None, progress: Progress, in_tria
             checks.append(_fits(model_path, inlet))
     except (SetupError, LinkLost) as error:
         checks.append(check("EEG stream with labels and units", False, str(error)))
-    checks.append(_screen(config))
+    checks += [_screen(config), _priority(config)]
     progress("making a few moves", 2, 3)
     if in_trial and all(each["ok"] for each in checks):
         checks += trial.run(config, model_path, progress)
@@ -77,6 +77,13 @@ def _screen(config: Config) -> dict[str, Any]:
         return check(what, False, str(error))
     finding = certification.screen(found.flips, found.refresh_hz)
     return check(what, finding.ok is True, f"{found.size[0]} x {found.size[1]} pixels, {finding.found}")
+
+
+def _priority(config: Config) -> dict[str, Any]:
+    """No reason not to start: on a computer that has nothing else to do a loop is as fast without."""
+    if config.priority == "normal":
+        return check("priority", True, "the loop's processes go with all others (priority = normal)")
+    return check("priority", True, priority.sentence(priority.offered()))
 
 
 def _network() -> dict[str, Any]:

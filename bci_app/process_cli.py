@@ -7,12 +7,15 @@ from typing import Annotated
 import typer
 
 from bci_app import config as configuration
+from bci_app import priority
 from bci_app.config import Config
 from bci_app.errors import SetupError
 from bci_app.gridworld import load_map
 from bci_app.lsl import session_clock
 from bci_app.set_up import applied
 from bci_app.told import Told
+
+log = logging.getLogger(__name__)
 
 SessionOption = Annotated[str, typer.Option("--session", help="Session id; the same for all processes of a run.")]
 ConfigOption = Annotated[Path | None, typer.Option("--config", help="TOML or JSON file overriding defaults.")]
@@ -33,10 +36,14 @@ def register(app: typer.Typer) -> None:
         app.command(rich_help_panel="One process alone")(verb)
 
 
-def _prepare(path: Path | None) -> Config:
+def _prepare(path: Path | None, speed: float) -> Config:
+    """What comes first in each process of the loop, before it has threads."""
     # Each process logs to stderr; bci-app, when it started them, keeps that in a file beside the recording.
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
-    return configuration.load(path)
+    config = configuration.load(path)
+    if config.priority == "high" or (config.priority == "auto" and speed == 1.0):
+        log.info("Priority: %s.", priority.sentence(priority.go_first()))
+    return config
 
 
 def console(
@@ -75,12 +82,12 @@ def stimulus(
     returning: ReturningOption = False,
 ) -> None:
     """Show the grid and the agent; begin by the space key."""
+    settings = applied(_prepare(config, speed))
     from stimulus import process
     from stimulus.episodes import Begin
     from stimulus.guide import guide
     from stimulus.paradigm import Paradigm
 
-    settings = applied(_prepare(config))
     if task not in ("calibration", "online"):
         raise SetupError(f"--task must be calibration or online, found {task!r}.")
     make = Paradigm.calibration if task == "calibration" else Paradigm.online
@@ -104,9 +111,10 @@ def decoder(
     eeg: Annotated[str | None, typer.Option("--eeg", hidden=True)] = None,
 ) -> None:
     """Turn EEG and move onsets into verdicts."""
+    settings = _prepare(config, speed)
     from decoder import process
 
-    process.run(_prepare(config), session, session_clock(speed, origin), model, parent, returning, eeg)
+    process.run(settings, session, session_clock(speed, origin), model, parent, returning, eeg)
 
 
 def policy(
@@ -123,12 +131,12 @@ def policy(
     returning: ReturningOption = False,
 ) -> None:
     """Choose the agent's moves from verdicts and what the agent senses."""
+    settings = _prepare(config, speed)
     from policy import cards, checkpoint, process
     from policy.agent import Agent
     from policy.ear import Ear
     from policy.verdicts import Verdicts
 
-    settings = _prepare(config)
     world = load_map(map_name)
     network, card = checkpoint.load(policy_file)
     cards.check_fits(card, world)
@@ -147,9 +155,9 @@ def amplifier(
     parent: ParentOption = None,
 ) -> None:
     """Play a simulated participant's EEG that reacts to the truth of each move."""
+    settings, clock = _prepare(config, speed), session_clock(speed, origin)
     from decoder import amplifier as process
 
-    settings, clock = _prepare(config), session_clock(speed, origin)
     if (task is None) != (map_name is None) or task not in (None, "calibration", "online"):
         raise SetupError(f"--task must be calibration or online, and come with --map; found {task} and {map_name}.")
     layout = load_map(map_name).layout() if map_name else ()

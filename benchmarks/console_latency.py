@@ -4,6 +4,7 @@ Each run with the console has pages open in Chromium, one of which is reloaded m
 is compared with the recording. Latencies are those of `bci_app.metrics`, over all moves of all runs of a kind.
 
     python benchmarks/console_latency.py --pairs 4 --speed 1 --out recordings/console
+    python benchmarks/console_latency.py --pairs 4 --speed 20 --priority high --out recordings/console
 """
 
 import argparse
@@ -28,6 +29,7 @@ from bci_app.recording import Recording, read
 VIEWERS = 3
 SMALL = """
 recordings = "{folder}"
+priority = "{priority}"
 [stimulus]
 headless = true
 [calibration]
@@ -154,13 +156,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--pairs", type=int, default=4)
     parser.add_argument("--speed", type=float, default=1.0)
+    parser.add_argument("--priority", choices=["auto", "high", "normal"], default="auto")
     parser.add_argument("--distances", type=int, nargs=2, default=(2, 20))
     parser.add_argument("--out", type=Path, default=Path("recordings/console"))
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     config = arguments.out / "console.toml"
     folder = (arguments.out / "recordings").as_posix()
-    config.write_text(SMALL.format(folder=folder, distances=list(arguments.distances)), encoding="utf-8")
+    settings = SMALL.format(folder=folder, priority=arguments.priority, distances=list(arguments.distances))
+    config.write_text(settings, encoding="utf-8")
     calibrated(config)
     without: list[Recording] = []
     beside: list[Recording] = []
