@@ -1,13 +1,16 @@
 """The loop in one process, a study through it, and that loop against the one over LSL."""
 
 import json
+import sys
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import Cli
 from dask.distributed import LocalCluster
+from sklearn.linear_model import LogisticRegression
 
 from bci_app import fitting
 from bci_app.config import Config, SimulationConfig, changed
@@ -201,6 +204,32 @@ def test_a_part_that_fails_is_told_and_costs_nobody_else(tmp_path: Path) -> None
     told = running.run(study, "one-process", None, "local", None, lambda what, done, of: None)
     assert told["report"] is None
     assert "stopped in calibration: A decoder needs at least 50" in told["unfinished"][0]["why"]
+
+
+def test_an_error_nobody_foresaw_is_raised_once_all_others_are_through(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def breaks_once() -> LogisticRegression:
+        calls.append(1)
+        if len(calls) == 1:
+            raise RuntimeError("out of luck")
+        return LogisticRegression(class_weight="balanced")
+
+    laboratory = ModuleType("laboratory")
+    laboratory.breaks_once = breaks_once  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "laboratory", laboratory)
+    settings = {**SMALL, "classifier": {"n_folds": 2, "min_per_class": 5, "estimator": "laboratory:breaks_once"}}
+    people = [{"name": name, "seed": 2} for name in ("P1", "P2")]
+    study = small_study(tmp_path, config=settings, conditions=["none"], participants=people, side_by_side=1)
+    with pytest.raises(RuntimeError, match=r"Of 2 participants 1 ended .*report: .*\nParticipant P1: Traceback"):
+        running.run(study, "one-process", None, "local", None, lambda what, done, of: None)
+    first, second = (Kept.of(study, who, "one-process") for who in study.participants)
+    assert first.stopped["why"] == "an error of the program, RuntimeError: out of luck"
+    assert set(second.parts) == {"calibration", "none open"}
+    again = running.run(study, "one-process", None, "local", None, lambda what, done, of: None)
+    assert again["unfinished"] == []
 
 
 def test_after_a_calibration_that_cant_be_fitted_there_can_be_another(tmp_path: Path) -> None:

@@ -30,7 +30,8 @@ def go_through(study: Study, who: Participant, through: Through, progress: Progr
     """Make all parts that aren't done yet.
 
     A part that fails, and a participant who stops, end it: that is kept, with the reason. Raises SetupError for what
-    is wrong with what is kept; KeyboardInterrupt passes through, and a person's part is then kept as stopped.
+    is wrong with what is kept; KeyboardInterrupt passes through, and a person's part is then kept as stopped. So does
+    any other error, which nobody foresaw: it is kept and raised.
     """
     kept = Kept.of(study, who, through)
     kept.stopped = {}
@@ -44,6 +45,9 @@ def go_through(study: Study, who: Participant, through: Through, progress: Progr
     except KeyboardInterrupt:
         if who.is_real:
             kept.stop(conducted.part, "interrupted by Ctrl-C")
+        raise
+    except Exception as error:
+        kept.stop(conducted.part, f"an error of the program, {type(error).__name__}: {error}")
         raise
     return kept
 

@@ -1,5 +1,6 @@
 """`bci-app study`: participants side by side, as far as the cores or a cluster allow, then the report."""
 
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from time import perf_counter
@@ -37,13 +38,19 @@ class Job:
 
 def attempt(job: Job) -> dict[str, Any]:
     """In a worker: all that is left to do of a participant; what is kept then. An error is that participant's, and no
-    other's."""
+    other's: one that nobody foresaw is told as `crash`, and raised when all others are through."""
     if job.is_beside_others:
         apart()
     study = Study.model_validate_json(job.study)
     who = study.participant(job.participant)
-    kept = go_through(study, who, job.through, lambda what, done, of: None)
-    return {"head": kept.head, "parts": kept.parts, "stopped": kept.stopped}
+    crash = None
+    try:
+        kept = go_through(study, who, job.through, lambda what, done, of: None)
+    except SetupError:
+        raise
+    except Exception:  # noqa: BLE001 (raised again by `run`)
+        kept, crash = Kept.of(study, who, job.through), traceback.format_exc()
+    return {"head": kept.head, "parts": kept.parts, "stopped": kept.stopped, "crash": crash}
 
 
 def run(
@@ -62,7 +69,8 @@ def run(
     backend, scheduler : ``local``, or ``dask`` at an address. A cluster's machines must share the study's folder, or
         the work is done there and kept here part by part only once a participant is through.
 
-    Returns what `summary` tells. Raises SetupError for what is kept of another study.
+    Returns what `summary` tells. Raises SetupError for what is kept of another study, and RuntimeError, once all others
+    are through, for participants who ended by an error that nobody foresaw.
     """
     started = perf_counter()
     check_maps(study)
@@ -74,10 +82,20 @@ def run(
     simulated, n = [each for each in left if not each.is_real], _side_by_side(study, through)
     beside = through == "processes" and n > 1 and len(simulated) > 1
     jobs = [Job(study.model_dump_json(), each.name, through, beside) for each in simulated]
+    crashes: dict[str, str] = {}
     for number, made in enumerate(_made(jobs, n, backend, scheduler)):
         _keep(study, through, made)
+        if made["crash"]:
+            crashes[made["head"]["participant"]] = made["crash"]
         progress(f"{made['head']['participant']} is through", number + 1, len(jobs))
-    return summary(study, through) | {"seconds": perf_counter() - started}
+    result = summary(study, through) | {"seconds": perf_counter() - started}
+    if crashes:
+        told = "\n".join(f"Participant {name}: {crash}" for name, crash in crashes.items())
+        raise RuntimeError(
+            f"Of {len(jobs)} participants {len(crashes)} ended by an error of the program; what the others did is kept "
+            f"(report: {result['report']}).\n{told}"
+        )
+    return result
 
 
 def check_maps(study: Study) -> None:
