@@ -267,7 +267,7 @@ class Config(Section):
     """Folder all recordings go to."""
     priority: Literal["auto", "high", "normal"] = "auto"
     """Whether the loop's processes go before all others of their computer, where the system lets them: `auto` has them
-    do so at real speed; of simulations at other speeds several may share the processors."""
+    do so at real speed; of simulations at other speeds, and of a study, several may share the processors."""
     stimulus: StimulusConfig = StimulusConfig()
     calibration: CalibrationConfig = CalibrationConfig()
     online: OnlineConfig = OnlineConfig()

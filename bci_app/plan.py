@@ -6,6 +6,7 @@ from os import getpid
 from pathlib import Path
 from typing import Literal
 
+from bci_app import priority
 from bci_app.clock import Clock
 from bci_app.config import Config
 from bci_app.crew import Crew
@@ -125,6 +126,7 @@ def described(plan: Plan, config: Config, session: str, clock: Clock) -> dict[st
         "told": plan.told,
         **(_continuation(plan.goes_on) if plan.goes_on else {}),
         "config": config.model_dump(mode="json"),
+        "priority": priority.offered() if priority.is_wished(config.priority, clock.speed) else "normal",
         "versions": versions(),
     }
 

@@ -12,6 +12,7 @@ from bci_app.config import Config
 from bci_app.errors import SetupError
 from bci_app.gridworld import load_map
 from bci_app.lsl import session_clock
+from bci_app.protocol import Role
 from bci_app.set_up import applied
 from bci_app.told import Told
 
@@ -36,14 +37,16 @@ def register(app: typer.Typer) -> None:
         app.command(rich_help_panel="One process alone")(verb)
 
 
-def _prepare(path: Path | None, speed: float) -> Config:
-    """What comes first in each process of the loop, before it has threads."""
+def _prepare(path: Path | None) -> Config:
     # Each process logs to stderr; bci-app, when it started them, keeps that in a file beside the recording.
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
-    config = configuration.load(path)
-    if config.priority == "high" or (config.priority == "auto" and speed == 1.0):
-        log.info("Priority: %s.", priority.sentence(priority.go_first()))
-    return config
+    return configuration.load(path)
+
+
+def _go_first(config: Config, speed: float, role: Role) -> None:
+    """Once all is loaded, which takes seconds of computing, and before LSL has threads, which go along."""
+    if priority.is_wished(config.priority, speed):
+        log.info("Priority: %s.", priority.sentence(priority.go_first(role)))
 
 
 def console(
@@ -82,12 +85,12 @@ def stimulus(
     returning: ReturningOption = False,
 ) -> None:
     """Show the grid and the agent; begin by the space key."""
-    settings = applied(_prepare(config, speed))
     from stimulus import process
     from stimulus.episodes import Begin
     from stimulus.guide import guide
     from stimulus.paradigm import Paradigm
 
+    settings = applied(_prepare(config))
     if task not in ("calibration", "online"):
         raise SetupError(f"--task must be calibration or online, found {task!r}.")
     make = Paradigm.calibration if task == "calibration" else Paradigm.online
@@ -95,6 +98,7 @@ def stimulus(
     begin = Begin(from_block, moves_done, from_episode)
     way = guide(settings, task, begin)
     paradigm = make(settings, world, session, participant, seed, begin, way)
+    _go_first(settings, speed, "stimulus")
     process.run(settings, session_clock(speed, origin), paradigm, commanded, parent, returning, way)
 
 
@@ -111,9 +115,10 @@ def decoder(
     eeg: Annotated[str | None, typer.Option("--eeg", hidden=True)] = None,
 ) -> None:
     """Turn EEG and move onsets into verdicts."""
-    settings = _prepare(config, speed)
     from decoder import process
 
+    settings = _prepare(config)
+    _go_first(settings, speed, "decoder")
     process.run(settings, session, session_clock(speed, origin), model, parent, returning, eeg)
 
 
@@ -131,17 +136,18 @@ def policy(
     returning: ReturningOption = False,
 ) -> None:
     """Choose the agent's moves from verdicts and what the agent senses."""
-    settings = _prepare(config, speed)
     from policy import cards, checkpoint, process
     from policy.agent import Agent
     from policy.ear import Ear
     from policy.verdicts import Verdicts
 
+    settings = _prepare(config)
     world = load_map(map_name)
     network, card = checkpoint.load(policy_file)
     cards.check_fits(card, world)
     ear = Ear(Verdicts.parse(card.verdicts), Told.parse(told) if told else None)
     agent = Agent(network, ear, world)
+    _go_first(settings, speed, "policy")
     process.run(settings.policy, session, session_clock(speed, origin), agent, world, parent, returning)
 
 
@@ -155,10 +161,11 @@ def amplifier(
     parent: ParentOption = None,
 ) -> None:
     """Play a simulated participant's EEG that reacts to the truth of each move."""
-    settings, clock = _prepare(config, speed), session_clock(speed, origin)
     from decoder import amplifier as process
 
+    settings, clock = _prepare(config), session_clock(speed, origin)
     if (task is None) != (map_name is None) or task not in (None, "calibration", "online"):
         raise SetupError(f"--task must be calibration or online, and come with --map; found {task} and {map_name}.")
     layout = load_map(map_name).layout() if map_name else ()
+    _go_first(settings, speed, "amplifier")
     process.run(settings, session, clock, parent, task, layout)  # type: ignore[arg-type]

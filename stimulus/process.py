@@ -104,6 +104,7 @@ class _Shell:
         self._keyboard = Keyboard(paradigm, peer.clock)
         self._shown: Scene | None = None
         self._drawn_at = 0.0
+        self._since_flip_s = 0.0  # between the last two
         self._pace = Pace(FRAME_S, paced=False)
         # Faster than real time, or without a screen, no picture is ever due at a certain frame.
         self._counts_frames = peer.clock.speed == 1.0 and not config.stimulus.headless
@@ -263,7 +264,8 @@ class _Shell:
         self._view.draw(scene)
         self._view.flip()
         onset = self._clock.now()
-        before, self._shown, self._drawn_at = self._shown, scene, local_clock()
+        before, self._shown, last_at, self._drawn_at = self._shown, scene, self._drawn_at, local_clock()
+        self._since_flip_s = self._drawn_at - last_at
         is_jump = self._paradigm.awaiting_flip
         if is_jump:
             self._paradigm.flipped(onset)
@@ -281,7 +283,8 @@ class _Shell:
         self._news.append((at, late))
 
     def _wait(self, has_flipped: bool) -> None:
-        if has_flipped and self._pace.paced and self._shown is not None and _is_running(self._shown):
+        waits = self._pace.paced and self._since_flip_s > self._pace.interval / 2  # a covered window's doesn't
+        if has_flipped and waits and self._shown is not None and _is_running(self._shown):
             return  # the next flip waits for the screen
         due = self._paradigm.next_due()
         self._peer.rest(min(POLL_S, POLL_S if due is None else self._clock.real_until(due)))

@@ -12,6 +12,8 @@ from typing import Literal
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 # Windows tells a program that doesn't ask for it a smaller screen, and blows up what it draws there.
 os.environ.setdefault("SDL_WINDOWS_DPI_AWARENESS", "permonitorv2")
+# NVIDIA's driver waits for a flip by offering its turn, which is no waiting in real-time scheduling; this one sleeps.
+os.environ.setdefault("__GL_YIELD", "USLEEP")
 import pygame
 
 from bci_app.config import StimulusConfig

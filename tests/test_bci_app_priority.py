@@ -3,38 +3,82 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from lsl_peers import Listener, process, until
 
 from bci_app import priority
+from bci_app.gridworld import load_map
+from policy import cards
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads Linux's scheduler")
-ORDINARY = "import os; from bci_app import priority; os.getuid() or os.setuid(65534); print(priority.go_first())"
+LOOP = ["amplifier", "decoder", "policy", "stimulus"]
+STREAMS = {"amplifier": "bci-amplifier", "decoder": "bci-verdicts", "policy": "bci-actions", "stimulus": "bci-stimulus"}
+BARRED = """
+import os, resource
+from bci_app import priority
+for limit in (resource.RLIMIT_RTPRIO, resource.RLIMIT_NICE):
+    resource.setrlimit(limit, (0, 0))
+os.getuid() or os.setuid(65534)
+print(priority.go_first("decoder"), priority.offered())
+"""
+NO_SUCH_THING = """
+import errno, os
+from bci_app import priority
+def refuse(*_):
+    raise OSError(errno.ENOSYS, "no such thing")
+os.sched_setscheduler = os.setpriority = refuse
+print(priority.go_first("decoder"), priority.offered())
+"""
 
 
-def policy_of(running: subprocess.Popen[str]) -> int:
+def words(role: str) -> list[object]:
+    """What a process of the loop needs to start alone, without a screen."""
+    extra: dict[str, list[object]] = {
+        "policy": ["--map", "open", "--policy", policy_file()],
+        "stimulus": ["--participant", "P1", "--task", "calibration"],
+    }
+    return [role, *extra.get(role, [])]
+
+
+def policy_file() -> Path:
+    return cards.choose_without(load_map("open")).path
+
+
+def scheduled(running: subprocess.Popen[str]) -> set[tuple[int, int]]:
+    """Scheduler and real-time priority of each thread, LSL's among them."""
     assert running.poll() is None, running.communicate()
-    return os.sched_getscheduler(running.pid)
+    threads = [int(path.name) for path in Path(f"/proc/{running.pid}/task").iterdir()]
+    return {(os.sched_getscheduler(thread), os.sched_getparam(thread).sched_priority) for thread in threads}
 
 
 @pytest.mark.skipif(priority.offered() != "real time", reason="this system grants no real-time scheduling")
-@pytest.mark.parametrize("role", ["decoder", "amplifier"])
-def test_at_real_speed_a_process_goes_first(role: str) -> None:
-    with process(role, "--session", f"first-{role}") as running:
-        until(lambda: policy_of(running) == os.SCHED_RR, 20, "real-time scheduling")
-        assert os.sched_getparam(running.pid).sched_priority == priority.ROUND_ROBIN
+@pytest.mark.parametrize("role", LOOP)
+@pytest.mark.parametrize(
+    ("setting", "speed", "is_first"), [("auto", 1, True), ("auto", 2, False), ("high", 2, True), ("normal", 1, False)]
+)
+def test_who_goes_first(tmp_path: Path, role: str, setting: str, speed: int, is_first: bool) -> None:
+    config, session = tmp_path / "lab.toml", f"first-{role}-{setting}-{speed}"
+    config.write_text(f'priority = "{setting}"\n[stimulus]\nheadless = true\n', encoding="utf-8")
+    with process(*words(role), "--session", session, "--config", config, "--speed", speed) as running:
+        listener = Listener(STREAMS[role], session)
+        until(lambda: listener.of("Status"), 20, "its first word")
+        expected = (os.SCHED_RR, priority.ROUND_ROBIN[role]) if is_first else (os.SCHED_OTHER, 0)
+        assert scheduled(running) == {expected}
     assert os.sched_getscheduler(0) == os.SCHED_OTHER  # to ask what is offered changed nothing
 
 
-def test_in_a_simulation_at_another_speed_it_goes_with_all_others() -> None:
-    with process("decoder", "--session", "equal", "--speed", 20) as running:
-        listener = Listener("bci-verdicts", "equal")
-        until(lambda: listener.of("Status"), 20, "the decoder's first word")
-        assert policy_of(running) == os.SCHED_OTHER
-
-
-def test_who_isn_t_allowed_to_goes_on_and_is_told_what_to_do() -> None:
-    found = subprocess.run([sys.executable, "-c", ORDINARY], capture_output=True, text=True, check=True).stdout.strip()
-    assert found == ("normal" if os.getuid() == 0 else priority.offered())
+@pytest.mark.parametrize("circumstances", [BARRED, NO_SUCH_THING])
+def test_who_isn_t_granted_it_goes_on(circumstances: str) -> None:
+    found = subprocess.run([sys.executable, "-c", circumstances], capture_output=True, text=True, check=True).stdout
+    assert found.split() == ["normal", "normal"]
     assert "docs/lab.md" in priority.sentence("normal")
+
+
+def test_the_console_gives_way() -> None:
+    with process("console", "--session", "nobodys", "--port", 0, host=("setsid",)) as running:
+        until(lambda: os.getpriority(os.PRIO_PROCESS, running.pid) == priority.LAST, 20, "it to give way")
+        group = Path(f"/proc/{running.pid}/autogroup")  # where Linux weighs sessions against each other
+        if group.exists():
+            until(lambda: group.read_text().split()[-1] == str(priority.LAST), 5, "its session to give way")

@@ -143,18 +143,18 @@ class Clenching:
             pred="name='bci-stimulus' and starts-with(source_id,'bci-app/sub-')"  # bci-app's: no other test's stimulus
         )
         self._stimulus: Listener | None = None
-        self._clenched: list[int] = []  # at which moves, counted from 1
+        self.clenched: list[int] = []  # at which moves, counted from 1
         self._left = 0  # samples still to be spoilt
 
     def play(self) -> None:
         if self._stimulus is None and (found := self._resolver.results()):
             self._stimulus = Listener("bci-stimulus", found[0].source_id().split("/")[1])
-        elif self._stimulus is not None and len(self._clenched) < 2:
+        elif self._stimulus is not None and len(self.clenched) < 2:
             n_moves = len(self._stimulus.of("MoveOnset"))
             onset = max((stamp for stamp, said in self._stimulus.heard if said["type"] == "MoveOnset"), default=0.0)
             # Never two moves running, nor one that a busy machine heard of too late to spoil what is judged.
-            if n_moves > 1 + max(self._clenched, default=0) and self.amplifier.next_stamp - onset < 0.3:
-                self._clenched, self._left = [*self._clenched, n_moves], 125
+            if n_moves > 1 + max(self.clenched, default=0) and self.amplifier.next_stamp - onset < 0.3:
+                self.clenched, self._left = [*self.clenched, n_moves], 125
         self.amplifier.play()
 
     def spoil(self, samples: np.ndarray) -> None:
@@ -173,6 +173,7 @@ def test_a_bad_channel_is_repaired_a_rejected_move_repeated_and_both_replayed(tm
         said, problems = running.communicate()
     assert running.returncode == 0, problems
     told = json.loads(said)
+    assert len(participant.clenched) == 2, "the machine was too busy for a move to be spoilt in time"
     assert told["verdicts"] == {"unjudged": 5, "rejected": 2}
     assert told["moves"] == 7
     assert any("Channel F3 is bad: not finite." in note for note in told["notes"])

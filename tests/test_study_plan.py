@@ -122,4 +122,6 @@ def test_what_is_kept_depends_on_what_matters_and_on_nothing_else() -> None:
     moved = study(config={"eeg": {"stream_name": "LiveAmp"}, "stimulus": {"display": 1}})
     assert moved.digest(who) == before.digest(who)
     assert study(config={"eeg": {"stream_type": "ExG"}}).digest(who) != before.digest(who)
+    assert study(config={"priority": "high"}).digest(who) == before.digest(who)
+    assert study(config={"priority": "high"}).settings(who).priority == "normal"  # several share the processors
     assert before.run_seed("A1", "none open") != before.run_seed("A1", "ours open")

@@ -1,15 +1,12 @@
 """The console's process: a thread listens, the main thread serves pages. It gives way to everybody else."""
 
-import os
 import threading
 from collections.abc import Callable
 
+from bci_app import priority
 from bci_app.config import Config
 from bci_app.console.listener import Listener
 from bci_app.console.server import serve
-
-NICENESS = 10
-"""How far it steps back from the processor, of 19 (decided): where cores are short the loop goes first."""
 
 
 def run(config: Config, session: str | None, port: int, parent: int | None, tell: Callable[[str], None]) -> None:
@@ -18,8 +15,7 @@ def run(config: Config, session: str | None, port: int, parent: int | None, tell
     Raises SetupError for a port that is taken and where it isn't clear which session to show, LinkLost when the program
     that started it is gone.
     """
-    if hasattr(os, "nice"):
-        os.nice(NICENESS)
+    priority.give_way()
     listener = Listener(config, session, parent)
     thread = threading.Thread(target=listener.run, name="listener")
     thread.start()

@@ -34,7 +34,14 @@ SIMULATED_ONLY: tuple[Condition, ...] = ("mute",)
 SHIPPED = ("wang2022", "lab")
 PAPERS_GATE = 0.70
 """Cross-validated accuracy below which the paper sends participants home (V.A.5)."""
-OF_THE_LAB = ("eeg.stream_name", "eeg.source_id", "stimulus.display", "stimulus.set_up", "stimulus.photon_delay_ms")
+OF_THE_LAB = (
+    "priority",
+    "eeg.stream_name",
+    "eeg.source_id",
+    "stimulus.display",
+    "stimulus.set_up",
+    "stimulus.photon_delay_ms",
+)
 """Settings that tell of a lab's equipment: it may change within a study."""
 FORMAT = 3
 """Of what is kept of participants. What another format keeps isn't taken for this one's."""
@@ -174,7 +181,7 @@ class Study(Section):
             else values
             for section, values in self.config.items()
         }
-        config = {section: values for section, values in config.items() if values != {}}
+        config = {key: value for key, value in config.items() if value != {} and key not in OF_THE_LAB}
         common = {"format": FORMAT, "seed": self.seed, "papers_gate": self.papers_gate, "config": config}
         person = who.model_dump(mode="json", exclude={"published", "recording"})
         recording = checksum(Path(who.recording)) if who.recording else None
@@ -210,7 +217,9 @@ class Study(Section):
         if not who.is_real:
             given.setdefault("seed", crc32(who.name.encode()) % 100_000)
         values: dict[str, Any] = {"recordings": str(self.home / "recordings"), "simulation": given}
-        return changed(config, values if who.is_real else values | {"stimulus": {"headless": True}})
+        if not who.is_real:  # several share the processors
+            values |= {"stimulus": {"headless": True}, "priority": "normal"}
+        return changed(config, values)
 
 
 def load(name: str) -> Study:
