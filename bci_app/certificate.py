@@ -39,14 +39,16 @@ def sentence(findings: Sequence[Finding]) -> str:
     return f"This machine may run this experiment.{but}"
 
 
-def show(findings: Sequence[Finding], console: Console) -> None:
-    """The findings as a table."""
+def show(findings: Sequence[Finding], about: Mapping[str, str], console: Console) -> None:
+    """The findings as a table, and what was measured."""
     table = Table("", "what", "found, limit and why", title="bci-app certify", show_lines=True)
     styles = {True: "[green]yes[/]", False: "[red]NO[/]", None: "[dim]not measured[/]"}
     for each in findings:
         limit = f"Limit: {each.limit}, for {each.why}." if each.limit else f"{each.why}."
         table.add_row(styles[each.ok], each.what, f"{plain(each.found)}\n[dim]{plain(limit)}[/]")
     console.print(table)
+    for name, value in about.items():
+        console.print(f"{name}: {plain(value)}", soft_wrap=True, highlight=False)
     console.print(sentence(findings), soft_wrap=True)
 
 

@@ -64,7 +64,7 @@ class Wanted:
 
 def examine(wanted: Wanted, progress: Progress) -> dict[str, Any]:
     """``may_run``, ``sentence``, ``findings`` (what, found, limit, why, ok, figures), ``page`` and ``set_up``, which is
-    None where no photodiode was seen.
+    None where no photodiode was seen; ``about`` is what was measured.
 
     Raises SetupError for a set-up that can't run at all, or a page that is there already.
     """
@@ -103,6 +103,7 @@ def examine(wanted: Wanted, progress: Progress) -> dict[str, Any]:
         "may_run": certification.may_run(findings),
         "sentence": certificate.sentence(findings),
         "findings": [asdict(finding) for finding in findings],
+        "about": about,
         "page": str(page),
         "set_up": str(set_up_file) if is_sure else None,
     }
@@ -179,6 +180,9 @@ def _run(wanted: Wanted, eeg: EegDescription, has_light: bool, progress: Progres
         if told["reason"] != "complete":
             raise SetupError(f"The short run didn't come to its end: {told['text']} Start it again.")
         return read(Path(told["recording"]), eeg_type=wishes.config.eeg.stream_type), ear
+    except KeyboardInterrupt as interrupt:
+        interrupt.args = ("Nothing is kept of a certification.",)
+        raise
     finally:
         ear.stop()
         shutil.rmtree(folder, ignore_errors=True)

@@ -17,7 +17,7 @@ from bci_app.crew import beside
 from bci_app.errors import INTERRUPTED, LinkLost, SetupError
 from bci_app.protocol import PROTOCOL_VERSION
 from bci_app.runs import read_sidecar
-from bci_app.terminal import finish, print_json, progress_bar, show_settings
+from bci_app.terminal import finish, if_interrupted, print_json, progress_bar, show_settings
 
 
 class Verbs(TyperGroup):
@@ -65,6 +65,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 ParticipantOption = Annotated[str, typer.Option("--participant", help="Letters and digits, as in P001.")]
 VisitOption = Annotated[str, typer.Option("--visit", help="BIDS session label of this visit.")]
 SimulateOption = Annotated[bool, typer.Option("--simulate", help="A simulated participant instead of an amplifier.")]
+GOES_ON = "The same with --resume goes on."
 SpeedOption = Annotated[
     float, typer.Option("--speed", help="Session seconds a real second; more than 1 only in simulations.")
 ]
@@ -124,7 +125,7 @@ def calibrate(
     wishes = verbs.Wishes(
         settings, participant, visit, simulate, speed, seed, session, tuple(remote or ()), resume=resume
     )
-    with beside("console", _console(console, config)), progress_bar(as_json) as progress:
+    with beside("console", _console(console, config)), progress_bar(as_json) as progress, if_interrupted(GOES_ON):
         outcome = verbs.calibrate(wishes, progress, fitting.look_ahead)
     _finish_run(outcome, as_json, f"Next: bci-app fit {' '.join(outcome['recordings'])}{_with(config)}")
 
@@ -143,7 +144,10 @@ def fit(
 
     with progress_bar(as_json) as progress:
         result = fitting.fit(recording, configuration.load(config), allow_damage, progress)
-    simulated = " --simulate" if read_sidecar(recording[0]).get("simulated") else ""
+    sidecar, simulated = read_sidecar(recording[0]), ""
+    if sidecar.get("simulated"):
+        person, speed = sidecar["config"]["simulation"]["seed"], sidecar.get("speed", 1.0)
+        simulated = f" --simulate --participant-seed {person} --speed {speed:g}"
     hint = f"Next: bci-app online --participant {result['participant']} --map open{simulated}{_with(config)}"
     finish(result, as_json, hint)
 
@@ -186,7 +190,7 @@ def online(
     wishes = verbs.Wishes(
         settings, participant, visit, simulate, speed, seed, session, tuple(remote or ()), resume=resume
     )
-    with beside("console", _console(console, config)), progress_bar(as_json) as progress:
+    with beside("console", _console(console, config)), progress_bar(as_json) as progress, if_interrupted(GOES_ON):
         outcome, _ = verbs.online(wishes, map_name, model, policy, below_gate, progress)
     _finish_run(outcome, as_json, f"Next: bci-app replay {outcome['recording']}")
 
@@ -256,7 +260,7 @@ def certify(
     if as_json:
         print_json(result)
     else:
-        certificate.show(certifying.findings_of(result), Console())
+        certificate.show(certifying.findings_of(result), result["about"], Console())
         _tell(f"Written: {result['page']}" + (f" and {result['set_up']}" if result["set_up"] else ""))
     if not result["may_run"]:
         raise typer.Exit(SetupError.exit_code)

@@ -266,8 +266,9 @@ class Config(Section):
     recordings: str = "recordings"
     """Folder all recordings go to."""
     priority: Literal["auto", "high", "normal"] = "auto"
-    """Whether the loop's processes go before all others of their computer, where the system lets them: `auto` has them
-    do so at real speed; of simulations at other speeds, and of a study, several may share the processors."""
+    """Whether the loop's processes go before all others of their computer, where the system lets them: `high` has them
+    ask for it, `normal` doesn't, and `auto` is high at real speed and normal in simulations at other speeds, of which
+    several may share the processors. A setting of no section: it stands above the first."""
     stimulus: StimulusConfig = StimulusConfig()
     calibration: CalibrationConfig = CalibrationConfig()
     online: OnlineConfig = OnlineConfig()

@@ -303,11 +303,19 @@ def find_eeg(config: EegConfig, timeout: float) -> pylsl.StreamInfo:
     predicate = " and ".join(f"{key}={_quoted(value)}" for key, value in wanted.items() if value is not None)
     started = local_clock()
     found: list[Any] = []
+    simulated: list[str] = []
     while not found and local_clock() - started < timeout:
         # Asking for two makes LSL listen on after the first, so that a second amplifier isn't missed.
         found = pylsl.resolve_bypred(predicate, 2, min(1.0, timeout))
+        simulated = [info.source_id() for info in found if info.source_id().startswith(f"{StreamSpec.PREFIX}/")]
         if config.source_id is None:  # a simulated amplifier is nobody's but its own session's
-            found = [info for info in found if not info.source_id().startswith(f"{StreamSpec.PREFIX}/")]
+            found = [info for info in found if info.source_id() not in simulated]
+    if not found and simulated:
+        raise NoStream(
+            f"No EEG stream of an amplifier: expected one with {predicate}, found only simulated ones, which are their "
+            f"own sessions'. Start the amplifier's LSL connector, or to take a simulated one set [eeg] source_id = "
+            f"{' or '.join(repr(each) for each in sorted(simulated))}."
+        )
     if not found:
         others = ", ".join(sorted({f"'{info.name()}' ({info.type()})" for info in pylsl.resolve_streams(1.0)}))
         raise NoStream(

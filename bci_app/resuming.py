@@ -34,21 +34,26 @@ class Stopped:
     episode: int = 0
 
 
-def find(config: Config, participant: str, visit: str, task: str) -> Stopped:
-    """The participant's last run of a task, and where it stopped.
+def find(config: Config, participant: str, visit: str, task: str, map_name: str, simulated: bool) -> Stopped:
+    """The participant's last run of a task on a map, and where it stopped; `simulated`: who is to go on with it.
 
-    Raises SetupError where there is none, it is complete, or its settings were others.
+    Raises SetupError where there is none, it is complete, its settings were others, or it was somebody else's.
     """
-    begun = next(_begun(recorded_runs(Path(config.recordings), participant, visit, task)), None)
+    runs = recorded_runs(Path(config.recordings), participant, visit, task)
+    # Which map a calibration is on is among the settings that must be the same.
+    on_map = (each for each in _begun(runs) if task != "online" or each[1].get("map", map_name) == map_name)
+    begun = next(on_map, None)
     if begun is None:
+        where = f" on map {map_name}" if task == "online" else ""
         raise SetupError(
-            f"There is no {task} run of participant {participant}, visit {visit}, below {config.recordings} to go on "
-            "with. Leave out --resume."
+            f"There is no {task} run of participant {participant}, visit {visit},{where} below {config.recordings} to "
+            "go on with. Leave out --resume."
         )
     run, sidecar, recording = begun
     if any(end.reason == "complete" for _, end in recording.of(SessionEnd)):
         raise SetupError(f"{run.xdf} is complete: there is nothing to go on with. Leave out --resume.")
     _check_same(sidecar, config, task, run)
+    _check_person(sidecar, config, simulated, run)
     recordings = (*_before(run, sidecar), run.xdf)
     begun_at = sidecar.get("begins_at", {})
     if task == "online":
@@ -95,6 +100,22 @@ def _check_same(sidecar: dict[str, Any], config: Config, task: str, run: Run) ->
             raise SetupError(
                 f"{run.xdf} was begun with {section}.{key} = {before.get(key)}, and now it is {now[key]}. Go on with "
                 "the configuration it was begun with, or leave out --resume."
+            )
+
+
+def _check_person(sidecar: dict[str, Any], config: Config, simulated: bool, run: Run) -> None:
+    """One recording is of one person: real, or one simulated person."""
+    if sidecar.get("simulated", simulated) != simulated:
+        whose, who = ("a simulated", "a real") if sidecar["simulated"] else ("a real", "a simulated")
+        raise SetupError(f"{run.xdf} is of {whose} participant, and {who} one can't go on with it. Leave out --resume.")
+    before = sidecar.get("config", {}).get("simulation", {})
+    now = config.model_dump(mode="json")["simulation"]
+    for key in ("seed", "decodability", "errp", "sfreq", "background", "rehearse") if simulated else ():
+        if before.get(key, now[key]) != now[key]:
+            raise SetupError(
+                f"{run.xdf} is of another simulated participant: simulation.{key} was {before[key]}, and now it is "
+                f"{now[key]}. Name the same one (--participant-seed, --decodability, --background, --rehearse), or "
+                "leave out --resume."
             )
 
 

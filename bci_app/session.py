@@ -84,7 +84,7 @@ def conduct(plan: Plan, progress: Progress) -> tuple[Outcome, Recording]:
     except KeyboardInterrupt as interrupt:
         conductor.interrupt()
         if conductor.heard.start is not None:
-            interrupt.args = (f"What was recorded until then is {plan.run.xdf}; the same with --resume goes on.",)
+            interrupt.args = (f"What was recorded until then is {plan.run.xdf}.",)
         raise
     except (SetupError, LinkLost) as error:
         conductor.fail(str(error))

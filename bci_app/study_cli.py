@@ -6,7 +6,7 @@ from typing import Annotated, cast
 import typer
 
 from bci_app.errors import SetupError
-from bci_app.terminal import finish, print_json, progress_bar
+from bci_app.terminal import finish, if_interrupted, print_json, progress_bar
 
 
 def register(app: typer.Typer) -> None:
@@ -50,7 +50,7 @@ def study(
         return
     from bci_app.study import running
 
-    with progress_bar(as_json) as progress:
+    with progress_bar(as_json) as progress, if_interrupted("The same command goes on."):
         result = running.run(planned, way, participant, backend, scheduler, progress)
     if as_json:
         print_json(result)

@@ -15,6 +15,17 @@ from rich.table import Table
 from bci_app.progress import Progress
 
 
+@contextmanager
+def if_interrupted(then: str) -> Iterator[None]:
+    """Say after Ctrl-C what to do with what was recorded until then, if anything was."""
+    try:
+        yield
+    except KeyboardInterrupt as interrupt:
+        if interrupt.args:
+            interrupt.args = (f"{interrupt.args[0]} {then}",)
+        raise
+
+
 def finish(result: dict[str, Any], as_json: bool, hint: str = "") -> None:
     """Print a result, and what to do next."""
     if as_json:

@@ -70,14 +70,16 @@ def calibrate(wishes: Wishes, progress: Progress, look: Look | None = None) -> d
     load_map(wishes.config.calibration.map)
     if not wishes.simulate:
         _look_at_eeg(wishes.config)
-    goes_on = _stopped(wishes, "calibration")
+    goes_on = _stopped(wishes, "calibration", wishes.config.calibration.map)
     plan = _plan(wishes, "calibration", wishes.config.calibration.map)
     told = _told(conduct(replace(plan, look=look, goes_on=goes_on), progress)[0])
     return told | {"recordings": [*map(str, goes_on.recordings if goes_on else ()), told["recording"]]}
 
 
-def _stopped(wishes: Wishes, task: Task) -> Stopped | None:
-    return find(wishes.config, wishes.participant, wishes.visit, task) if wishes.resume else None
+def _stopped(wishes: Wishes, task: Task, map_name: str) -> Stopped | None:
+    if not wishes.resume:
+        return None
+    return find(wishes.config, wishes.participant, wishes.visit, task, map_name, wishes.simulate)
 
 
 def online(
@@ -101,9 +103,9 @@ def online(
     world = load_map(map_name)
     from decoder.model import fit_stream, load
 
-    goes_on = _stopped(wishes, "online")
+    goes_on = _stopped(wishes, "online", map_name)
     if goes_on is not None:
-        wishes, model_path, policy = _as_before(wishes, goes_on.sidecar, map_name, model_path, policy)
+        wishes, model_path, policy = _as_before(wishes, goes_on.sidecar, model_path, policy)
     path = model_path or newest_model(Path(wishes.config.recordings), wishes.participant)
     model = load(path)
     if model.info.participant != wishes.participant and model_path is None:
@@ -139,13 +141,9 @@ def online(
 
 
 def _as_before(
-    wishes: Wishes, sidecar: dict[str, Any], map_name: str, model: Path | None, policy: str | None
+    wishes: Wishes, sidecar: dict[str, Any], model: Path | None, policy: str | None
 ) -> tuple[Wishes, Path | None, str | None]:
     """What a run needs to go on as it was begun: its seed, its decoder and its policy, unless others are named."""
-    if sidecar.get("map") != map_name:
-        raise SetupError(
-            f"The run to go on with was on map {sidecar.get('map')}, not {map_name}. Name that with --map."
-        )
     before = {key: (sidecar.get(key) or {}).get("path") for key in ("model", "policy")}
     if model is None and before["model"]:
         model = Path(before["model"])

@@ -7,7 +7,7 @@ import pytest
 from test_bci_app_said import end, move, opening, start, verdict
 from xdf_files import write_xdf
 
-from bci_app.config import Config
+from bci_app.config import Config, changed
 from bci_app.eeg import EegDescription
 from bci_app.errors import SetupError
 from bci_app.joining import BETWEEN_S, joined
@@ -75,11 +75,11 @@ def test_a_calibration_goes_on_in_its_block(
 def test_what_cannot_be_gone_on_with_is_said(tmp_path: Path) -> None:
     config = Config(recordings=str(tmp_path))
     with pytest.raises(SetupError, match="no calibration run of participant P1"):
-        find(config, "P1", "S001", "calibration")
+        find(config, "P1", "S001", "calibration", "open", True)
     run = new_run(tmp_path, "P1", "S001", "calibration")
     write_sidecar(run.sidecar, {"state": "starting", "config": config.model_dump(mode="json")})
     with pytest.raises(SetupError, match="no calibration run of participant P1"):  # it ended before it was recorded
-        find(config, "P1", "S001", "calibration")
+        find(config, "P1", "S001", "calibration", "open", True)
 
 
 def test_a_false_start_is_not_gone_on_with(tmp_path: Path) -> None:
@@ -94,8 +94,30 @@ def test_a_false_start_is_not_gone_on_with(tmp_path: Path) -> None:
         write_xdf(run.xdf, samples, times, channels, 100.0, said)
         write_sidecar(run.sidecar, sidecar)
         assert run.number == number
-    found = find(config, "P1", "S001", "online")
+    found = find(config, "P1", "S001", "online", "open", True)
     assert [path.name for path in found.recordings] == ["sub-P1_ses-S001_task-online_run-001_eeg.xdf"]
+
+
+def test_it_is_the_last_run_on_that_map_and_of_that_person(tmp_path: Path) -> None:
+    def config(seed: int) -> Config:
+        return changed(Config(recordings=str(tmp_path)), {"simulation": {"seed": seed}})
+
+    channels = [("Fz", "EEG", "microvolts")]
+    for map_name in ("open", "obstacles"):
+        run = new_run(tmp_path, "P1", "S001", "online")
+        begun = SessionStart(session="s", task="online", participant="P1", map=map_name, layout=["..."], n_episodes=2)
+        said = {"bci-stimulus": [(1.0, begun)]}
+        write_xdf(run.xdf, np.zeros((500, 1), np.float32), np.arange(500) / 100, channels, 100.0, said)
+        sidecar = {"map": map_name, "simulated": True, "config": config(2).model_dump(mode="json")}
+        write_sidecar(run.sidecar, sidecar)
+    found = find(config(2), "P1", "S001", "online", "open", True)
+    assert found.recordings[0].name == "sub-P1_ses-S001_task-online_run-001_eeg.xdf"
+    with pytest.raises(SetupError, match=r"no online run .* on map mine"):
+        find(config(2), "P1", "S001", "online", "mine", True)
+    with pytest.raises(SetupError, match=r"simulation.seed was 2, and now it is 1.*--participant-seed"):
+        find(config(1), "P1", "S001", "online", "open", True)
+    with pytest.raises(SetupError, match="of a simulated participant, and a real one can't go on"):
+        find(config(2), "P1", "S001", "online", "open", False)
 
 
 def test_runs_are_joined_in_time_and_number() -> None:
