@@ -295,14 +295,14 @@ def _ledger(recording: Recording, ear: _Ear) -> dict[str, NDArray[np.float64]]:
 def _about(
     config: Config, eeg: EegDescription, screen: str, recording: Recording, channel: str | None
 ) -> dict[str, str]:
-    packages, is_wished = versions(), priority.is_wished(config.priority, speed=1.0)
+    packages = versions()
     return {
         "when": datetime.now().astimezone().isoformat(timespec="minutes"),
         "computer": f"{platform.node()}, {platform.platform()}, {platform.machine()}",
         "screen": screen,
         "EEG": f"'{eeg.name}', {len(eeg.picks)} EEG channels at {eeg.sfreq:g} Hz",
         "photodiode": channel or "none",
-        "priority": priority.sentence(priority.offered()) if is_wished else "as all others (priority = normal)",
+        "priority": priority.outlook(config.priority),
         "run": f"{len(recording.of(MoveOnset))} moves at real speed, all processes, recorded by LabRecorder",
         "versions": ", ".join(f"{name} {number}" for name, number in packages.items()),
     }

@@ -19,6 +19,8 @@ from bci_app.protocol import PROTOCOL_VERSION
 from bci_app.runs import read_sidecar
 from bci_app.terminal import finish, if_interrupted, print_json, progress_bar, show_settings
 
+GOES_ON = "The same with --resume goes on."
+
 
 class Verbs(TyperGroup):
     """Turns what went wrong into one sentence and an exit code; only our own mistakes get a traceback."""
@@ -65,7 +67,6 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 ParticipantOption = Annotated[str, typer.Option("--participant", help="Letters and digits, as in P001.")]
 VisitOption = Annotated[str, typer.Option("--visit", help="BIDS session label of this visit.")]
 SimulateOption = Annotated[bool, typer.Option("--simulate", help="A simulated participant instead of an amplifier.")]
-GOES_ON = "The same with --resume goes on."
 SpeedOption = Annotated[
     float, typer.Option("--speed", help="Session seconds a real second; more than 1 only in simulations.")
 ]

@@ -81,9 +81,7 @@ def _screen(config: Config) -> dict[str, Any]:
 
 def _priority(config: Config) -> dict[str, Any]:
     """No reason not to start: on a computer that has nothing else to do a loop is as fast without."""
-    if not priority.is_wished(config.priority, speed=1.0):
-        return check("priority", True, "the loop's processes go with all others (priority = normal)")
-    return check("priority", True, priority.sentence(priority.offered()))
+    return check("priority", True, priority.outlook(config.priority))
 
 
 def _network() -> dict[str, Any]:

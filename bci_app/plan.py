@@ -126,7 +126,7 @@ def described(plan: Plan, config: Config, session: str, clock: Clock) -> dict[st
         "told": plan.told,
         **(_continuation(plan.goes_on) if plan.goes_on else {}),
         "config": config.model_dump(mode="json"),
-        "priority": priority.offered() if priority.is_wished(config.priority, clock.speed) else "normal",
+        "priority": priority.expected(config.priority, clock.speed),
         "versions": versions(),
     }
 

@@ -11,6 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Literal
 
+Setting = Literal["auto", "high", "normal"]
 Rank = Literal["real time", "high", "normal"]
 
 ROUND_ROBIN = {"stimulus": 8, "decoder": 7, "policy": 6, "amplifier": 5}
@@ -20,7 +21,7 @@ FIRST, LAST = -10, 10
 """Niceness of whoever goes first and isn't granted real-time scheduling, and of whoever gives way (decided)."""
 
 
-def is_wished(setting: Literal["auto", "high", "normal"], speed: float) -> bool:
+def is_wished(setting: Setting, speed: float) -> bool:
     """Whether the loop's processes go first by the configuration's `priority`, in a session of this speed."""
     return setting == "high" or (setting == "auto" and speed == 1.0)
 
@@ -31,22 +32,10 @@ def go_first(role: str) -> Rank:
     On Windows it is the whole process. Nothing is raised where the system refuses or knows no such thing: the loop runs
     all the same.
     """
-    if sys.platform == "win32":
-        import psutil
-
-        return _on_windows(psutil.HIGH_PRIORITY_CLASS)
-    try:
-        if sys.platform == "linux":
-            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(ROUND_ROBIN[role]))
-            return "real time"
-    except OSError:
-        pass  # niceness may be allowed all the same
-    try:
-        os.setpriority(os.PRIO_PROCESS, 0, FIRST)
-    except OSError:
-        return "normal"
-    _among_groups(FIRST)
-    return "high"
+    rank = _granted(ROUND_ROBIN[role])
+    if rank == "high":
+        _among_groups(FIRST)
+    return rank
 
 
 def give_way() -> None:
@@ -71,10 +60,22 @@ def offered() -> Rank:
     if sys.platform != "linux":
         return "high" if os.geteuid() == 0 else "normal"
     found: list[Rank] = []
-    thread = threading.Thread(target=lambda: found.append(_tried()))
+    thread = threading.Thread(target=lambda: found.append(_granted(min(ROUND_ROBIN.values()))))
     thread.start()
     thread.join()
     return found[0]
+
+
+def expected(setting: Setting, speed: float) -> Rank:
+    """The rank of the loop's processes that are started on this computer."""
+    return offered() if is_wished(setting, speed) else "normal"
+
+
+def outlook(setting: Setting) -> str:
+    """What a session with people may expect of this computer."""
+    if not is_wished(setting, speed=1.0):
+        return "the loop's processes go with all others (priority = normal)"
+    return sentence(offered())
 
 
 def sentence(rank: Rank) -> str:
@@ -91,17 +92,23 @@ def sentence(rank: Rank) -> str:
     )
 
 
-def _tried() -> Rank:
-    """What this thread gets, without what concerns the whole process."""
+def _granted(real_time: int) -> Rank:
+    """What the calling thread gets, on Windows the process, without what concerns the session."""
+    if sys.platform == "win32":
+        import psutil
+
+        return _on_windows(psutil.HIGH_PRIORITY_CLASS)
     try:
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(min(ROUND_ROBIN.values())))
+        if sys.platform == "linux":
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(real_time))
+            return "real time"
     except OSError:
-        try:
-            os.setpriority(os.PRIO_PROCESS, 0, FIRST)
-        except OSError:
-            return "normal"
-        return "high"
-    return "real time"
+        pass  # niceness may be allowed all the same
+    try:
+        os.setpriority(os.PRIO_PROCESS, 0, FIRST)
+    except OSError:
+        return "normal"
+    return "high"
 
 
 def _among_groups(niceness: int) -> None:
@@ -110,7 +117,7 @@ def _among_groups(niceness: int) -> None:
     Only for a process that leads its session, as all do that bci-app starts: not for everything in somebody's terminal.
     """
     group = Path("/proc/self/autogroup")
-    if os.getsid(0) != os.getpid() or not group.exists():
+    if not group.exists() or os.getsid(0) != os.getpid():
         return
     with suppress(OSError):  # not this process's to say, or said a moment ago: its niceness remains
         group.write_text(str(niceness), encoding="ascii")

@@ -39,12 +39,11 @@ def find(config: Config, participant: str, visit: str, task: str, map_name: str,
 
     Raises SetupError where there is none, it is complete, its settings were others, or it was somebody else's.
     """
-    runs = recorded_runs(Path(config.recordings), participant, visit, task)
     # Which map a calibration is on is among the settings that must be the same.
-    on_map = (each for each in _begun(runs) if task != "online" or each[1].get("map", map_name) == map_name)
-    begun = next(on_map, None)
+    wanted = map_name if task == "online" else None
+    begun = next(_begun(recorded_runs(Path(config.recordings), participant, visit, task), wanted), None)
     if begun is None:
-        where = f" on map {map_name}" if task == "online" else ""
+        where = f" on map {wanted}" if wanted else ""
         raise SetupError(
             f"There is no {task} run of participant {participant}, visit {visit},{where} below {config.recordings} to "
             "go on with. Leave out --resume."
@@ -65,13 +64,15 @@ def find(config: Config, participant: str, visit: str, task: str, map_name: str,
     return Stopped(recordings, sidecar, block=block, moves_done=moves_done)
 
 
-def _begun(runs: Iterable[Run]) -> Iterator[tuple[Run, dict[str, Any], Recording]]:
-    """Runs that got as far as their first message, with their sidecars and recordings.
+def _begun(runs: Iterable[Run], map_name: str | None) -> Iterator[tuple[Run, dict[str, Any], Recording]]:
+    """Runs on a map, any if None, that got as far as their first message, with their sidecars and recordings.
 
     One that was broken off before may not even have EEG in its file.
     """
     for run in runs:
         sidecar = read_sidecar(run.xdf)
+        if map_name is not None and sidecar.get("map", map_name) != map_name:
+            continue
         try:
             recording = read(run.xdf, allow_damage=True, eeg_type=eeg_type(sidecar))
         except SetupError as error:

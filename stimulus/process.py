@@ -264,8 +264,8 @@ class _Shell:
         self._view.draw(scene)
         self._view.flip()
         onset = self._clock.now()
-        before, self._shown, last_at, self._drawn_at = self._shown, scene, self._drawn_at, local_clock()
-        self._since_flip_s = self._drawn_at - last_at
+        before, self._shown, now = self._shown, scene, local_clock()
+        self._since_flip_s, self._drawn_at = now - self._drawn_at, now
         is_jump = self._paradigm.awaiting_flip
         if is_jump:
             self._paradigm.flipped(onset)
