@@ -18,6 +18,7 @@ from bci_app.eeg import EegDescription
 from bci_app.errors import LinkLost, SetupError
 from bci_app.lsl import EegInlet, all_streams, find_eeg, finds_streams, local_clock
 from bci_app.progress import Progress
+from bci_app.set_up import applied, check_stream
 from bci_app.trial import check
 from bci_app.verbs import disk
 
@@ -42,10 +43,12 @@ def examine(config: Config, model_path: Path | None, progress: Progress, in_tria
     streams = all_streams()
     checks = [_network(), check("streams on the network", bool(streams), f"{len(streams)} found")]
     progress("looking at the EEG", 1, 3)
+    stream = None
     try:
         info = find_eeg(config.eeg, timeout=2.0)
         inlet = EegInlet(info, config.eeg.buffer_s)
         description = inlet.description
+        stream = description.name
         text = f"'{description.name}', {len(description.picks)} EEG channels at {description.sfreq:g} Hz"
         samples, times = _listen(inlet)
         checks += [check("EEG stream with labels and units", True, text), _rate(inlet, config, times)]
@@ -56,7 +59,7 @@ def examine(config: Config, model_path: Path | None, progress: Progress, in_tria
             checks.append(_fits(model_path, inlet))
     except (SetupError, LinkLost) as error:
         checks.append(check("EEG stream with labels and units", False, str(error)))
-    checks += [_screen(config), _priority(config)]
+    checks += [_screen(config), *_set_up(config, stream), _priority(config)]
     progress("making a few moves", 2, 3)
     if in_trial and all(each["ok"] for each in checks):
         checks += trial.run(config, model_path, progress)
@@ -77,6 +80,20 @@ def _screen(config: Config) -> dict[str, Any]:
         return check(what, False, str(error))
     finding = certification.screen(found.flips, found.refresh_hz)
     return check(what, finding.ok is True, f"{found.size[0]} x {found.size[1]} pixels, {finding.found}")
+
+
+def _set_up(config: Config, stream: str | None) -> list[dict[str, Any]]:
+    """Whether what `certify` measured is of this screen and this EEG stream; nothing where no such file is named."""
+    if config.stimulus.set_up is None:
+        return []
+    what = "set-up file"
+    try:
+        delay_ms = applied(config).stimulus.photon_delay_ms
+        if stream is not None:
+            check_stream(config, stream)
+    except SetupError as error:
+        return [check(what, False, str(error))]
+    return [check(what, True, f"of this set-up: light comes {delay_ms:g} ms after the flip")]
 
 
 def _priority(config: Config) -> dict[str, Any]:

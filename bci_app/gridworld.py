@@ -152,6 +152,7 @@ def load_map(name_or_path: str) -> GridWorld:
     try:
         return compile_map(path.read_text(encoding="utf-8"), path.stem)
     except (OSError, UnicodeDecodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else error
         raise SetupError(
-            f"No map '{name_or_path}': expected one of {', '.join(SHIPPED_MAPS)} or the path of a map file ({error})."
+            f"No map '{name_or_path}': expected one of {', '.join(SHIPPED_MAPS)} or the path of a map file ({why})."
         ) from error

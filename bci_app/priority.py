@@ -50,7 +50,7 @@ def give_way() -> None:
 
 
 def offered() -> Rank:
-    """The rank that `go_first` would get.
+    """The rank that `go_first` would get for every process of the loop.
 
     On Linux it is tried in a thread that ends at once. Elsewhere priority is the whole process's, so it is told from
     the rights: Windows grants it to everybody, others to root.
@@ -60,7 +60,7 @@ def offered() -> Rank:
     if sys.platform != "linux":
         return "high" if os.geteuid() == 0 else "normal"
     found: list[Rank] = []
-    thread = threading.Thread(target=lambda: found.append(_granted(min(ROUND_ROBIN.values()))))
+    thread = threading.Thread(target=lambda: found.append(_granted(max(ROUND_ROBIN.values()))))
     thread.start()
     thread.join()
     return found[0]

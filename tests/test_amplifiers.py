@@ -12,7 +12,8 @@ import pylsl
 import pytest
 from lsl_peers import LABELS, ForeignAmplifier, ForeignStimulus, Listener, lab_config, process, until
 
-from bci_app.config import ChainConfig
+from bci_app import set_up
+from bci_app.config import ChainConfig, Config
 from decoder.chain import design
 from decoder.montage import MONTAGE_64, canonical, template
 
@@ -141,10 +142,14 @@ def test_missing_channels_are_refused_and_reordered_ones_mended(tmp_path: Path, 
     all_but_one = [label for label in LABELS if label != "FCz"]
     otherwise = [label.upper() for label in reversed(LABELS)]
     words = ("doctor", "--model", any_decoder, "--moves", "--headless", "--json", "--config")
+    refused = named(tmp_path, "AmpC")
+    set_up.write(set_up.describe(Config(), "LiveAmp", "PHOTO", 30, 21.5, 1.2), tmp_path / "set-up.json")
+    with refused.open("a", encoding="utf-8") as file:
+        file.write(f'[stimulus]\nset_up = "{(tmp_path / "set-up.json").as_posix()}"\n')
     with (
         closing(ForeignAmplifier("AmpC", labels=all_but_one)) as missing,
         closing(ForeignAmplifier("AmpD", labels=otherwise)) as shuffled,
-        process(*words, named(tmp_path, "AmpC")) as refusing,
+        process(*words, refused) as refusing,
         process(*words, named(tmp_path, "AmpD")) as mending,
     ):
 
@@ -154,7 +159,9 @@ def test_missing_channels_are_refused_and_reordered_ones_mended(tmp_path: Path, 
 
         until(lambda: refusing.poll() is not None and mending.poll() is not None, 120, "both doctors", play)
         assert refusing.returncode == 2
-        assert "missing: FCz" in refusing.communicate()[0]
+        troubles = {check["check"]: check["text"] for check in json.loads(refusing.communicate()[0])["checks"]}
+        assert "missing: FCz" in " ".join(troubles.values())
+        assert "measured with the EEG stream 'LiveAmp', not with 'AmpC'" in troubles["set-up file"]
         said = mending.communicate()
         assert mending.returncode == 0, said
         result = json.loads(said[0])

@@ -23,6 +23,17 @@ for limit in (resource.RLIMIT_RTPRIO, resource.RLIMIT_NICE):
 os.getuid() or os.setuid(65534)
 print(priority.go_first("decoder"), priority.offered())
 """
+TOO_LITTLE = """
+import os
+from bci_app import priority
+def up_to_six(who, policy, param):
+    if param.sched_priority > 6:
+        raise PermissionError("RLIMIT_RTPRIO is 6")
+def refuse(*_):
+    raise PermissionError("RLIMIT_NICE is 0")
+os.sched_setscheduler, os.setpriority = up_to_six, refuse
+print(priority.offered(), priority.go_first("policy"), sep=", ")
+"""
 NO_SUCH_THING = """
 import errno, os
 from bci_app import priority
@@ -74,6 +85,11 @@ def test_who_isn_t_granted_it_goes_on(circumstances: str) -> None:
     found = subprocess.run([sys.executable, "-c", circumstances], capture_output=True, text=True, check=True).stdout
     assert found.split() == ["normal", "normal"]
     assert "docs/lab.md" in priority.sentence("normal")
+
+
+def test_offered_is_what_all_of_them_get() -> None:
+    found = subprocess.run([sys.executable, "-c", TOO_LITTLE], capture_output=True, text=True, check=True).stdout
+    assert found == "normal, real time\n"
 
 
 def test_the_console_gives_way() -> None:

@@ -12,7 +12,7 @@ from bci_app.errors import SetupError
 from bci_app.gridworld import load_map
 from bci_app.progress import Progress
 from bci_app.report import Row
-from bci_app.study import page, tables
+from bci_app.study import page, tables, watching
 from bci_app.study.apart import apart, has_own_ports
 from bci_app.study.conduct import go_through, names_of
 from bci_app.study.parts import Kept
@@ -38,7 +38,8 @@ class Job:
 
 def attempt(job: Job) -> dict[str, Any]:
     """In a worker: all that is left to do of a participant; what is kept then. An error is that participant's, and no
-    other's: one that nobody foresaw is told as `crash`, and raised when all others are through."""
+    other's: what is wrong with what is kept is told as `refusal`, an error that nobody foresaw as `crash`, and either
+    is raised when all others are through."""
     if job.is_beside_others:
         apart()
     study = Study.model_validate_json(job.study)
@@ -46,8 +47,8 @@ def attempt(job: Job) -> dict[str, Any]:
     crash = None
     try:
         kept = go_through(study, who, job.through, lambda what, done, of: None)
-    except SetupError:
-        raise
+    except SetupError as error:
+        return {"refusal": f"Participant {who.name}: {error}"}
     except Exception:  # noqa: BLE001 (raised again by `run`)
         kept, crash = Kept.of(study, who, job.through), traceback.format_exc()
     return {"head": kept.head, "parts": kept.parts, "stopped": kept.stopped, "crash": crash}
@@ -69,8 +70,9 @@ def run(
     backend, scheduler : ``local``, or ``dask`` at an address. A cluster's machines must share the study's folder, or
         the work is done there and kept here part by part only once a participant is through.
 
-    Returns what `summary` tells. Raises SetupError for what is kept of another study, and RuntimeError, once all others
-    are through, for participants who ended by an error that nobody foresaw.
+    Returns what `summary` tells. Raises SetupError for what is kept of another study. Once all others are through and
+    the report is written, raises SetupError for participants whose parts couldn't be kept or whom the cluster gave up,
+    and RuntimeError for those who ended by an error that nobody foresaw.
     """
     started = perf_counter()
     check_maps(study)
@@ -82,19 +84,25 @@ def run(
     simulated, n = [each for each in left if not each.is_real], _side_by_side(study, through)
     beside = through == "processes" and n > 1 and len(simulated) > 1
     jobs = [Job(study.model_dump_json(), each.name, through, beside) for each in simulated]
+    refusals: list[str] = []
     crashes: dict[str, str] = {}
-    for number, made in enumerate(_made(jobs, n, backend, scheduler)):
-        _keep(study, through, made)
-        if made["crash"]:
-            crashes[made["head"]["participant"]] = made["crash"]
-        progress(f"{made['head']['participant']} is through", number + 1, len(jobs))
+    with watching.told(study, through, simulated, progress):
+        for made in _made(jobs, n, backend, scheduler):
+            if "refusal" in made:
+                refusals.append(made["refusal"])
+                continue
+            _keep(study, through, made)
+            if made["crash"]:
+                crashes[made["head"]["participant"]] = made["crash"]
     result = summary(study, through) | {"seconds": perf_counter() - started}
+    kept = f"what the others did is kept (report: {result['report']})."
     if crashes:
-        told = "\n".join(f"Participant {name}: {crash}" for name, crash in crashes.items())
+        told = "\n".join([*refusals, *(f"Participant {name}: {crash}" for name, crash in crashes.items())])
         raise RuntimeError(
-            f"Of {len(jobs)} participants {len(crashes)} ended by an error of the program; what the others did is kept "
-            f"(report: {result['report']}).\n{told}"
+            f"Of {len(jobs)} participants {len(crashes)} ended by an error of the program; {kept}\n{told}"
         )
+    if refusals:
+        raise SetupError(f"Of {len(jobs)} participants {len(refusals)} couldn't go on; {kept} {' '.join(refusals)}")
     return result
 
 
@@ -128,15 +136,12 @@ def _side_by_side(study: Study, through: Through) -> int:
 
 def _made(jobs: Sequence[Job], n: int, backend: str, scheduler: str | None) -> Iterator[dict[str, Any]]:
     if backend == "dask":
-        failures: list[SetupError] = []
         with cluster.connected(scheduler) as client:
-            for _, made in cluster.results(client, attempt, jobs):
-                if isinstance(made, SetupError):
-                    failures.append(made)  # of one participant; the others go on
+            for number, made in cluster.results(client, attempt, jobs):
+                if isinstance(made, SetupError):  # one participant's; the others go on
+                    yield {"refusal": f"Participant {jobs[number].participant}: {made}"}
                 else:
                     yield made
-        if failures:
-            raise SetupError(" ".join(map(str, failures)))
         return
     if n == 1 or len(jobs) == 1:
         yield from map(attempt, jobs)
