@@ -19,13 +19,15 @@ from bci_app.protocol import Command, EpisodeEnd, MoveOnset, Note, Pause, Resume
 from bci_app.recording import Recording, read
 
 SPEED = 24
+MOST, A_BLOCK = 960, 16
+"""Moves of the whole session, which nobody waits for: it is ended after some block."""
 NOTE = "Moved the chair; <b>C3</b> & the reference look fine."
 SMALL = """
 recordings = "{folder}"
 [stimulus]
 headless = true
 [calibration]
-n_blocks = 4
+n_blocks = 60
 moves_per_block = 16
 break_s = 3
 [simulation]
@@ -151,14 +153,13 @@ def test_the_page_follows_a_session_and_the_session_what_is_asked_for(session: S
     press(page, "End after this block")
     page.get_by_role("button", name="End it").press("Enter")
     expect(page.locator("#phase")).to_have_text(re.compile("ended: complete"), timeout=60_000)
-    expect(page.locator("#unjudged")).to_have_text(re.compile("^(16|32|48)$"))
     recording = session.recording()
     check_what_was_recorded(recording)
     moves = len(recording.of(MoveOnset))
     over = [end.reason for _, end in recording.of(EpisodeEnd)]
     found = latencies([recording], SPEED)
     for name, text in {
-        "done": f"{moves} of 64 moves",
+        "done": f"{moves} of {MOST} moves",
         "unjudged": str(len(recording.of(Verdict))),
         "rejected": "0",
         "n_episodes": str(sum(reason in ("goal", "limit") for reason in over)),
@@ -181,4 +182,6 @@ def check_what_was_recorded(recording: Recording) -> None:
     assert any(pause.by_person for _, pause in recording.of(Pause))
     assert recording.of(Resume)
     assert [end.reason for _, end in recording.of(SessionEnd)] == ["complete"]
-    assert len(recording.of(MoveOnset)) == len(recording.of(Truth)) in (16, 32, 48)
+    moves = len(recording.of(MoveOnset))
+    assert moves == len(recording.of(Truth)) < MOST
+    assert moves % A_BLOCK == 0
