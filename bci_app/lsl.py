@@ -6,6 +6,7 @@ himself and says so, which is what makes a replay exact.
 
 import logging
 import os
+import platform
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -343,6 +344,14 @@ def finds_streams(timeout: float) -> bool:
     found = pylsl.resolve_bypred(f"source_id='{SESSION.source_id(session)}'", 1, timeout)
     del outlet  # only now
     return bool(found)
+
+
+def running_session(stem: str, timeout: float) -> str | None:
+    """A session led on this computer whose id begins so; None where none answers within `timeout` real seconds."""
+    here, beginning = _quoted(platform.node()), _quoted(f"{StreamSpec.PREFIX}/{stem}")
+    predicate = f"name='{SESSION.name}' and hostname={here} and starts-with(source_id,{beginning})"
+    found = pylsl.resolve_bypred(predicate, 1, timeout)
+    return found[0].source_id().split("/")[1] if found else None
 
 
 def all_streams(wait_s: float = 1.0) -> list[dict[str, str | int | float]]:

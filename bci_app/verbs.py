@@ -14,7 +14,7 @@ from bci_app.errors import SetupError
 from bci_app.gridworld import GridWorld, load_map
 from bci_app.heard import Outcome
 from bci_app.lookout import Look
-from bci_app.lsl import describe, find_eeg
+from bci_app.lsl import describe, find_eeg, running_session
 from bci_app.plan import Disturb, Plan, Task
 from bci_app.progress import Progress
 from bci_app.protocol import Role
@@ -27,6 +27,8 @@ from bci_app.set_up import applied
 MIN_SPEED = 0.1
 SECONDS_A_MOVE = 5.0
 """Of recording, pauses and all (decided: 3 and some)."""
+ANSWER_S = 1.0
+"""Real seconds in which a session that runs on this computer answers (decided; it takes a hundredth)."""
 SESSION_ID = re.compile(r"[A-Za-z0-9_-]+\Z")
 MAX_SPEED = 100.0
 """Session seconds a real second beyond which no computer keeps up: a move would take 30 ms (decided)."""
@@ -69,7 +71,7 @@ def calibrate(wishes: Wishes, progress: Progress, look: Look | None = None) -> d
     wishes = _checked(wishes)
     load_map(wishes.config.calibration.map)
     if not wishes.simulate:
-        _look_at_eeg(wishes.config)
+        _look_at_eeg(wishes)
     goes_on = _stopped(wishes, "calibration", wishes.config.calibration.map)
     plan = _plan(wishes, "calibration", wishes.config.calibration.map)
     told = _told(conduct(replace(plan, look=look, goes_on=goes_on), progress)[0])
@@ -115,7 +117,7 @@ def online(
         )
     card, reason = choose_policy(policy, model.info, wishes.config.policy, below_gate, world)
     if not wishes.simulate:
-        eeg = _look_at_eeg(wishes.config)
+        eeg = _look_at_eeg(wishes)
         fit_stream(model, eeg.name, eeg.picked, eeg.sfreq)
     plan = _plan(wishes, "online", map_name, path, card.path)
     plan = replace(plan, told=str(model.info.evidence.told), goes_on=goes_on)
@@ -204,11 +206,18 @@ def _check_disk(config: Config, eeg: EegDescription) -> None:
         )
 
 
-def _look_at_eeg(config: Config) -> EegDescription:
-    """The lab's EEG stream, before anything is started or written: there, only once, with labels and units."""
-    eeg = describe(find_eeg(config.eeg, timeout=5.0))
+def _look_at_eeg(wishes: Wishes) -> EegDescription:
+    """The lab's EEG stream, before anything is started or written: there, only once, with labels and units, and not in
+    use by a session of the same person that was started a moment ago."""
+    eeg = describe(find_eeg(wishes.config.eeg, timeout=5.0))
     eeg.check()
-    _check_disk(config, eeg)
+    _check_disk(wishes.config, eeg)
+    running = running_session(f"sub-{wishes.participant}_ses-{wishes.visit}_", ANSWER_S)
+    if running is not None:
+        raise SetupError(
+            f"A session of participant {wishes.participant}, visit {wishes.visit}, is running on this computer: "
+            f"{running}. End it first, or name another participant or visit."
+        )
     return eeg
 
 

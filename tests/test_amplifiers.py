@@ -103,6 +103,19 @@ def test_a_wrong_amplifier_is_refused_before_anything_starts(
         assert "Traceback" not in said
 
 
+def test_a_second_session_of_the_same_person_is_refused_before_anything_starts(tmp_path: Path) -> None:
+    session = "sub-P1_ses-S001_task-online_run-001-0a1b2c"
+    info = pylsl.StreamInfo("bci-session", "Events", 1, 0.0, "string", f"bci-app/{session}/bci-session")
+    first = pylsl.StreamOutlet(info)
+    words = ("calibrate", "--participant", "P1", "--config", lab_config(tmp_path), "--headless")
+    with closing(ForeignAmplifier()) as amplifier, process(*words) as running:
+        until(lambda: running.poll() is not None, 60, "the refusal", amplifier.play)
+        assert running.returncode == 2
+        assert f"is running on this computer: {session}." in " ".join(running.communicate()[1].split())
+    del first
+    assert not (tmp_path / "recordings").exists()
+
+
 @pytest.mark.trouble("labstreaminglayer #102, pyxdf #137: clocks that are far apart")
 def test_a_second_hosts_clock_a_thousand_seconds_away_moves_no_epoch(tmp_path: Path) -> None:
     try:
