@@ -15,6 +15,7 @@ from typing import Any
 from zlib import crc32
 
 from bci_app.errors import SetupError
+from bci_app.whole import renew
 from bci_app.xdf import STREAM_HEADER, Chunk, Chunks
 
 LABEL = re.compile(r"[A-Za-z0-9]+\Z")
@@ -175,16 +176,13 @@ def sidecar_of(recording: Path) -> Path:
 
 def write_sidecar(path: Path, content: dict[str, Any]) -> None:
     """Write or renew a sidecar so that a crash leaves the old one or the new one, never half of it."""
-    _write_whole(path, json.dumps(content, indent=2) + "\n")
+    _renew(path, json.dumps(content, indent=2) + "\n")
 
 
-def _write_whole(path: Path, text: str) -> None:
-    temporary = path.with_suffix(".json.part")
+def _renew(path: Path, text: str) -> None:
     try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
+        renew(path, text.encode())
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise SetupError(f"Can't write {path}: {error.strerror}. Is the disk full, or locked?") from error
 
 
@@ -241,7 +239,7 @@ def write_sums(recording: Path) -> None:
     content = {"of": recording.name, "bytes": len(data), "start stop crc32": sums, "stream headers": headers}
     if path.exists():
         raise SetupError(f"{path} exists already and is not overwritten. Move it away.")
-    _write_whole(path, json.dumps(content, indent=0))
+    _renew(path, json.dumps(content, indent=0))
 
 
 def free_reserve(recording: Path) -> None:

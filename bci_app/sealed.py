@@ -6,9 +6,7 @@ table of tensors depends on.
 
 import hashlib
 import json
-import os
 from collections.abc import Callable
-from pathlib import Path
 
 _SUM = "sha256"
 
@@ -20,28 +18,6 @@ class Damaged(Exception):
 def seal(serialize: Callable[[dict[str, str]], bytes], key: str, card: str) -> bytes:
     """The contents of a file with the card under a key; ``serialize`` makes them from the words in its header."""
     return serialize({key: card, _SUM: _checksum(serialize({key: card}), card)})
-
-
-def write_new(path: Path, contents: bytes, partial: Path | None = None) -> None:
-    """Write a file whole or not at all; FileExistsError when there is one by now, other OSErrors when it can't be.
-
-    Parameters
-    ----------
-    partial : where it is written first, on the same disk: beside it unless told, where what a writer left that was
-        killed is taken over. Several that may write the same file at once need one each.
-    """
-    partial = partial or path.with_name(f"{path.name}.partial")
-    try:
-        partial.write_bytes(contents)
-        try:
-            os.link(partial, path)  # unlike a renamed file it never takes another one's place
-        except FileExistsError:
-            raise
-        except OSError:  # a file system without links: take the name first, then replace our own empty file
-            path.open("xb").close()
-            partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def card_of(contents: bytes, key: str) -> str:

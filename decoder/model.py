@@ -17,7 +17,8 @@ from safetensors.numpy import save as save_tensors
 
 from bci_app.config import ChainConfig, ClassifierConfig
 from bci_app.errors import SetupError
-from bci_app.sealed import Damaged, card_of, seal, write_new
+from bci_app.sealed import Damaged, card_of, seal
+from bci_app.whole import write_new
 from decoder.calibration import Calibration, Scores
 from decoder.chain import Chain
 from decoder.classifier import LinearClassifier

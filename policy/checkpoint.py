@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from bci_app.errors import SetupError
+from bci_app.whole import renew
 from policy.cards import CARD, PolicyCard, card_in, contents_of, no_policy
 from policy.network import HIDDEN, Actor, Network, PaperNetwork, ToldNetwork
 from policy.sealed import Damaged, Tensors, opened, seal
@@ -36,11 +37,9 @@ def _smallest(tensor: Tensor) -> Tensor:
 
 
 def write(path: Path, contents: bytes) -> None:
-    """Write a file whole or not at all: one that is there is complete."""
+    """Write a file or put another in its place, whole or not at all, and the folders it lies in."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".partial")
-    partial.write_bytes(contents)
-    partial.replace(path)
+    renew(path, contents)
 
 
 def load(path: Path) -> tuple[Actor, PolicyCard]:

@@ -15,7 +15,7 @@ from uuid import uuid4
 from bci_app.errors import SetupError
 from bci_app.gridworld import GridWorld, load_map
 from bci_app.progress import Progress
-from bci_app.sealed import write_new
+from bci_app.whole import write_new
 from policy import teachers
 from policy.actor_critic import ActorCriticSettings
 from policy.cards import SUFFIX, Recipe, check_fits, policy_name

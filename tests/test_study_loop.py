@@ -235,7 +235,7 @@ def test_an_error_nobody_foresaw_is_raised_once_all_others_are_through(
 def test_whose_parts_cant_be_kept_costs_nobody_else(tmp_path: Path) -> None:
     people = [{"name": name, "seed": 2} for name in ("P1", "P2")]
     study = small_study(tmp_path, conditions=["none"], participants=people, side_by_side=1)
-    (tmp_path / "one-process" / "P1.json.partial").mkdir(parents=True)
+    (tmp_path / "one-process" / ".P1.json.partial").mkdir(parents=True)
     seen: list[tuple[int, int]] = []
     with pytest.raises(SetupError, match=r"Of 2 participants 1 couldn't go on; .*report: .*Participant P1: Can't keep"):
         running.run(study, "one-process", None, "local", None, lambda what, done, of: seen.append((done, of)))

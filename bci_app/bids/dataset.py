@@ -15,6 +15,7 @@ from bci_app.bids.columns import COLUMNS
 from bci_app.bids.source import NAME, Source, find, read_source, run_of
 from bci_app.errors import SetupError
 from bci_app.progress import Progress
+from bci_app.whole import renew
 
 STAGING = ".bci-app-"
 """Beginning of the folder in which a run is put together."""
@@ -277,10 +278,7 @@ def _write_json(path: Path, content: Any) -> None:
 
 
 def _write(path: Path, content: str) -> None:
-    """Write or renew a file so that a crash leaves the old one or the new one."""
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(content, encoding="utf-8")
-    temporary.replace(path)
+    renew(path, content.encode())
 
 
 def _copy(path: Path, target: Path) -> None:

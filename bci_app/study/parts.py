@@ -1,7 +1,6 @@
 """What is done of a study, a file a participant: written whole after each part, so an interrupted study goes on."""
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +14,7 @@ from bci_app.report import Row
 from bci_app.report.calibrations import judged_online
 from bci_app.report.steps import episode_rows, is_right, judged, move_rows
 from bci_app.study.plan import Participant, Study, Through
+from bci_app.whole import renew
 from decoder.model import ModelInfo
 
 CALIBRATION = "calibration"
@@ -98,9 +98,7 @@ class Kept:
         content = {**self.head, "stopped": self.stopped, "recorded": self.recorded, "parts": self.parts}
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            partial = self.path.with_name(f"{self.path.name}.partial")
-            partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-            os.replace(partial, self.path)
+            renew(self.path, f"{json.dumps(content, indent=1)}\n".encode())
         except OSError as error:
             raise SetupError(
                 f"Can't keep what is done in {self.path}: {error.strerror}. Free or unlock the disk."
