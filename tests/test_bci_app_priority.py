@@ -74,7 +74,7 @@ def test_who_goes_first(tmp_path: Path, role: str, setting: str, speed: int, is_
     config.write_text(f'priority = "{setting}"\n[stimulus]\nheadless = true\n', encoding="utf-8")
     with process(*words(role), "--session", session, "--config", config, "--speed", speed) as running:
         listener = Listener(STREAMS[role], session)
-        until(lambda: listener.of("Status"), 20, "its first word")
+        until(lambda: listener.of("Status"), 60, "its first word")
         expected = (os.SCHED_RR, priority.ROUND_ROBIN[role]) if is_first else (os.SCHED_OTHER, 0)
         assert scheduled(running) == {expected}
     assert os.sched_getscheduler(0) == os.SCHED_OTHER  # to ask what is offered changed nothing
@@ -94,7 +94,7 @@ def test_offered_is_what_all_of_them_get() -> None:
 
 def test_the_console_gives_way() -> None:
     with process("console", "--session", "nobodys", "--port", 0, host=("setsid",)) as running:
-        until(lambda: os.getpriority(os.PRIO_PROCESS, running.pid) == priority.LAST, 20, "it to give way")
+        until(lambda: os.getpriority(os.PRIO_PROCESS, running.pid) == priority.LAST, 60, "it to give way")
         group = Path(f"/proc/{running.pid}/autogroup")  # where Linux weighs sessions against each other
         if group.exists():
             until(lambda: group.read_text().split()[-1] == str(priority.LAST), 5, "its session to give way")

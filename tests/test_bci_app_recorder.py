@@ -55,7 +55,7 @@ def test_a_recorder_that_writes_no_more_is_told_and_ended(outlets: list[pylsl.St
     text = vigil.lost(1000, 11.1 * GROW_TIMEOUT_S, may_stand=False)
     assert text is not None
     assert "has stopped growing at 1000 bytes" in text
-    until(lambda: not recorder.alive, 10, "its end")
+    until(lambda: not recorder.alive, 30, "its end")
     text = vigil.lost(2000, 12 * GROW_TIMEOUT_S, may_stand=False)
     assert text is not None
     assert "LabRecorder died" in text

@@ -113,14 +113,14 @@ def test_the_stimulus_is_told_to_wait_and_to_go_on(tmp_path: Path) -> None:
         run.pass_s(1)
         run.supervisor.tend()
         assert run.supervisor.waits_for == "The decoder waits for EEG."
-        until(lambda: told.of("Command"), 10, "the command")
+        until(lambda: told.of("Command"), 30, "the command")
         assert told.of("Command")[-1]["command"] == "pause"
         run.say("stimulus", Pause(session="waits", reason="The decoder waits for EEG."))
         run.all_well()
         run.pass_s(1)
         run.supervisor.tend()
         assert run.supervisor.waits_for is None
-        until(lambda: told.of("Command")[-1]["command"] == "resume", 10, "the command")
+        until(lambda: told.of("Command")[-1]["command"] == "resume", 30, "the command")
 
 
 @pytest.mark.parametrize("speed", [1.0, 4.0])
@@ -157,7 +157,7 @@ def test_a_person_who_paused_goes_on_by_themselves(tmp_path: Path) -> None:
         run.pass_s(1)
         run.supervisor.tend()
         run.peer.note("info", "and nothing else")
-        until(lambda: told.of("Note"), 10, "the note")
+        until(lambda: told.of("Note"), 30, "the note")
         assert told.of("Command") == []
 
 

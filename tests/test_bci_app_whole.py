@@ -61,7 +61,7 @@ def test_whoever_is_killed_while_writing_leaves_a_whole_file(tmp_path: Path) -> 
     path = tmp_path / "file"
     for _ in range(10):
         writer = subprocess.Popen([sys.executable, "-c", WRITING, path])
-        until((tmp_path / ".file.partial").exists, 20, "it to write")
+        until((tmp_path / ".file.partial").exists, 60, "it to write")
         writer.kill()
         writer.wait()
         if path.exists():

@@ -36,7 +36,7 @@ def test_it_finds_the_session_that_runs_and_asks_which_of_several() -> None:
     stimulus = ForeignStimulus("first")
     leader = MessageOutlet(SESSION, "first", session_clock(2.0, 5.0))
     with listening() as console:
-        until(lambda: shown(console, "session").get("id") == "first", 30, "the session")
+        until(lambda: shown(console, "session").get("id") == "first", 60, "the session")
         asks = Listener("bci-console", "first")
         running = Status(session="first", role="session", state="running")
         leader.push(running, 1.0)
@@ -46,24 +46,24 @@ def test_it_finds_the_session_that_runs_and_asks_which_of_several() -> None:
             leader.push(running, 1.0)
             console.ended.wait(0.05)
 
-        until(lambda: asks.of("Returned"), 30, "to be asked", say_so)
+        until(lambda: asks.of("Returned"), 60, "to be asked", say_so)
         opening = SessionStart(session="first", task="online", participant="P", map="open", layout=["..", ".."])
         start = EpisodeStart(session="first", episode=3, position=(0, 1), sensed=(False,) * 5, max_steps=60)
         said = (Said(stamp=1.0, message=opening), Said(stamp=2.0, message=start))
         leader.push(Recall(session="first", role="console", said=said), 3.0)
-        until(lambda: shown(console, "episode"), 30, "the episode")
+        until(lambda: shown(console, "episode"), 60, "the episode")
         assert shown(console, "session")["speed"] == 2.0
         assert shown(console, "session")["is_late"]
         console.ask(lambda session: Note(session=session, role="console", level="info", text="hello"))
-        until(lambda: asks.of("Note"), 30, "the note")
+        until(lambda: asks.of("Note"), 60, "the note")
         stimulus.say("SessionEnd", local_clock(), reason="complete")
         following = ForeignStimulus("second")
-        until(lambda: shown(console, "session")["id"] == "second", 30, "the next session")
+        until(lambda: shown(console, "session")["id"] == "second", 60, "the next session")
         with listening() as other:
-            until(other.ended.is_set, 30, "it to say that there are two")
+            until(other.ended.is_set, 60, "it to say that there are two")
         assert "2 sessions are running: first, second" in str(other.failure)
         with listening("second") as named:
-            until(named.ended.is_set, 30, "it to say that there is a console")
+            until(named.ended.is_set, 60, "it to say that there is a console")
         assert "has a console already" in str(named.failure)
         following.say("SessionEnd", reason="complete")
     assert console.failure is None
@@ -73,7 +73,7 @@ def test_a_second_console_is_refused() -> None:
     stimulus = ForeignStimulus("mine")
     theirs = MessageOutlet(CONSOLE, "mine")
     with listening("mine") as console:
-        until(console.ended.is_set, 30, "it to say that there is a console")
+        until(console.ended.is_set, 60, "it to say that there is a console")
     assert "has a console already" in str(console.failure)
     del theirs, stimulus
 
@@ -81,10 +81,10 @@ def test_a_second_console_is_refused() -> None:
 def test_of_two_consoles_started_at_once_one_stays() -> None:
     stimulus = ForeignStimulus("mine")
     with listening("mine") as one, listening("mine") as two:
-        until(lambda: one.ended.is_set() or two.ended.is_set(), 30, "one of them to give way")
+        until(lambda: one.ended.is_set() or two.ended.is_set(), 60, "one of them to give way")
         given_way, stays = (one, two) if one.ended.is_set() else (two, one)
         assert "has a console already" in str(given_way.failure)
-        until(lambda: shown(stays, "session").get("id") == "mine", 30, "the session")
+        until(lambda: shown(stays, "session").get("id") == "mine", 60, "the session")
         assert not stays.ended.is_set()
     assert stays.failure is None
     del stimulus

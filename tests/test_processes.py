@@ -42,7 +42,7 @@ def test_a_foreign_stimulus_works_with_our_decoder_and_policy_and_nobody_opens_t
         process("policy", "--session", "foreign", "--map", "open", "--policy", policy_file, "--told", TOLD) as policy,
     ):
         verdicts, actions = stimulus.listen("bci-verdicts"), stimulus.listen("bci-actions")
-        until(lambda: verdicts.is_ready() and actions.is_ready(), 40, "decoder and policy", amplifier.play)
+        until(lambda: verdicts.is_ready() and actions.is_ready(), 90, "decoder and policy", amplifier.play)
         layout = ["." * 11] * 11
         stimulus.say("SessionStart", task="online", participant="P", map="open", layout=layout, n_episodes=1)
         neighbour.walk(2, amplifier.play_for, every_s=0.1)
@@ -53,7 +53,7 @@ def test_a_foreign_stimulus_works_with_our_decoder_and_policy_and_nobody_opens_t
         stimulus.say("EpisodeStart", episode=0, position=cell, sensed=nothing, max_steps=3)
         for step in (1, 2, 3):
             action = until(
-                lambda step=step: [a for a in actions.of("Action") if a["step"] == step], 15, "action", amplifier.play
+                lambda step=step: [a for a in actions.of("Action") if a["step"] == step], 45, "action", amplifier.play
             )[0]
             dr, dc = moves[action["action"]]
             cell = [cell[0] + dr, cell[1] + dc]
@@ -72,7 +72,7 @@ def test_a_foreign_stimulus_works_with_our_decoder_and_policy_and_nobody_opens_t
         assert stimulus.truth.wait_for_consumers(5.0)
         del listener
         stimulus.say("SessionEnd", reason="complete")
-        until(lambda: decoder.poll() is not None and policy.poll() is not None, 15, "both to end", amplifier.play)
+        until(lambda: decoder.poll() is not None and policy.poll() is not None, 45, "both to end", amplifier.play)
         assert (decoder.returncode, policy.returncode) == (0, 0), decoder.communicate()[1]
         assert len(actions.of("Action")) == 3  # none for a step after the limit
         told = [(kind, said["step"]) for _, said in actions.heard if (kind := said["type"]) in ("Action", "Belief")]
@@ -125,9 +125,9 @@ def test_mne_lsl_reads_eeg_and_markers_while_the_session_runs(tmp_path: Path) ->
         markers = StreamLSL(60, source_id="bci-app/mne/bci-markers").connect(timeout=20)
         assert eeg.info["sfreq"] == 500
         assert "FCz" in eeg.ch_names
-        until(lambda: eeg.n_new_samples > 500, 30, "EEG through mne-lsl")
+        until(lambda: eeg.n_new_samples > 500, 60, "EEG through mne-lsl")
         assert np.isfinite(eeg.get_data(winsize=1)[0]).all()
-        until(lambda: markers.n_new_samples >= 3, 40, "markers through mne-lsl")
+        until(lambda: markers.n_new_samples >= 3, 90, "markers through mne-lsl")
         codes = markers.get_data()[0].astype(int).ravel()
         assert set(codes[codes > 0].tolist()) <= {1, 2, 3, 4, 20, 21, 22, 23, 24, 100, 110}
         eeg.disconnect()

@@ -275,7 +275,8 @@ def test_the_coins_tosses_are_as_large_on_new_moves_as_what_the_decoder_says(
 def test_the_loop_over_lsl_and_that_in_one_process_do_the_same(decoder: DecoderModel, tmp_path: Path, cli: Cli) -> None:
     """With a live session's flips and looks, all else is made anew: EEG, truths, verdicts, actions, to the bit."""
     config = tmp_path / "config.json"
-    mine = changed(CONFIG, {"recordings": str(tmp_path / "recordings"), "online": {"distances": [2, 3]}})
+    ours = {"recordings": str(tmp_path / "recordings"), "online": {"distances": [2, 3]}}
+    mine = changed(CONFIG, {**ours, "simulation": {"delay_s": 0.1}})  # so that no truth is late on a busy machine
     config.write_text(mine.model_dump_json(), encoding="utf-8")
     model = tmp_path / "P1_decoder.safetensors"
     save(decoder, model)
