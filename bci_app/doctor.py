@@ -83,7 +83,8 @@ def _screen(config: Config) -> dict[str, Any]:
 
 
 def _set_up(config: Config, stream: str | None) -> list[dict[str, Any]]:
-    """Whether what `certify` measured is of this screen and this EEG stream; nothing where no such file is named."""
+    """Whether what `certify` measured is of this screen and, where there is one, this EEG stream; nothing where no file
+    of it is named."""
     if config.stimulus.set_up is None:
         return []
     what = "set-up file"
@@ -93,7 +94,8 @@ def _set_up(config: Config, stream: str | None) -> list[dict[str, Any]]:
             check_stream(config, stream)
     except SetupError as error:
         return [check(what, False, str(error))]
-    return [check(what, True, f"of this set-up: light comes {delay_ms:g} ms after the flip")]
+    of = "this set-up" if stream is not None else "this screen, and without EEG nobody knows whether of its amplifier"
+    return [check(what, True, f"of {of}: light comes {delay_ms:g} ms after the flip")]
 
 
 def _priority(config: Config) -> dict[str, Any]:

@@ -346,10 +346,11 @@ def finds_streams(timeout: float) -> bool:
     return bool(found)
 
 
-def running_session(stem: str, timeout: float) -> str | None:
-    """A session led on this computer whose id begins so; None where none answers within `timeout` real seconds."""
-    here, beginning = _quoted(platform.node()), _quoted(f"{StreamSpec.PREFIX}/{stem}")
-    predicate = f"name='{SESSION.name}' and hostname={here} and starts-with(source_id,{beginning})"
+def running_session(beginning: str, timeout: float) -> str | None:
+    """A session led on this computer whose id, with a slash after it, begins so; None where none answers within
+    `timeout` real seconds."""
+    here, source = _quoted(platform.node()), _quoted(f"{StreamSpec.PREFIX}/{beginning}")
+    predicate = f"name='{SESSION.name}' and hostname={here} and starts-with(source_id,{source})"
     found = pylsl.resolve_bypred(predicate, 1, timeout)
     return found[0].source_id().split("/")[1] if found else None
 

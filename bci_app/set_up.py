@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bci_app.config import Config
 from bci_app.errors import SetupError
+from bci_app.whole import write_new
 
 
 class SetUp(BaseModel):
@@ -57,8 +58,7 @@ def describe(config: Config, stream: str | None, channel: str, n: int, delay_ms:
 def write(set_up: SetUp, path: Path) -> None:
     """Write the file. Nothing is written over: SetupError where it is there already."""
     try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(set_up.model_dump_json(indent=2) + "\n")
+        write_new(path, f"{set_up.model_dump_json(indent=2)}\n".encode())
     except OSError as error:
         raise SetupError(f"Can't write the set-up file {path}: {error.strerror}. Choose another with --out.") from error
 

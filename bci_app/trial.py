@@ -1,5 +1,6 @@
 """A few moves for real, before a participant comes: the lab's EEG through every process and into a recording."""
 
+import secrets
 import shutil
 import tempfile
 from pathlib import Path
@@ -35,7 +36,8 @@ def run(config: Config, model: Path | None, progress: Progress) -> list[dict[str
         "calibration": {"n_blocks": 1, "moves_per_block": N_MOVES},
         "online": {"distances": [2, 2], "max_steps": N_MOVES},
     }
-    wishes = verbs.Wishes(changed(config, short), PARTICIPANT)
+    session = f"doctor-{secrets.token_hex(3)}"  # two set-ups of one computer may be looked at at once
+    wishes = verbs.Wishes(changed(config, short), PARTICIPANT, session=session)
     what = "a few moves through all processes into a recording"
     try:
         if model is None:

@@ -207,16 +207,17 @@ def _check_disk(config: Config, eeg: EegDescription) -> None:
 
 
 def _look_at_eeg(wishes: Wishes) -> EegDescription:
-    """The lab's EEG stream, before anything is started or written: there, only once, with labels and units, and not in
-    use by a session of the same person that was started a moment ago."""
+    """The lab's EEG stream, before anything is started or written: there, only once, with labels and units; and no
+    session of the same visit, or the same id, that runs on this computer already."""
     eeg = describe(find_eeg(wishes.config.eeg, timeout=5.0))
     eeg.check()
     _check_disk(wishes.config, eeg)
-    running = running_session(f"sub-{wishes.participant}_ses-{wishes.visit}_", ANSWER_S)
+    visit = f"sub-{wishes.participant}_ses-{wishes.visit}_"
+    running = running_session(f"{wishes.session}/" if wishes.session else visit, ANSWER_S)
     if running is not None:
         raise SetupError(
-            f"A session of participant {wishes.participant}, visit {wishes.visit}, is running on this computer: "
-            f"{running}. End it first, or name another participant or visit."
+            f"Session {running} is running on this computer already. End it first, or name another participant, visit "
+            "or --session."
         )
     return eeg
 

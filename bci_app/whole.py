@@ -1,6 +1,11 @@
-"""Files that are there whole or not at all, whatever dies while they are written."""
+"""Files that are there whole or not at all, whatever dies while they are written.
+
+Where a file system has no links (FAT), whoever is killed at the wrong moment leaves a new file's name empty.
+"""
 
 import os
+import shutil
+from contextlib import suppress
 from pathlib import Path
 
 
@@ -21,25 +26,47 @@ def write_new(path: Path, contents: bytes, partial: Path | None = None) -> None:
             raise
         except OSError:  # a file system without links: take the name first, then replace our own empty file
             path.open("xb").close()
-            partial.replace(path)
+            try:
+                partial.replace(path)
+            except OSError:
+                path.unlink()
+                raise
     finally:
         partial.unlink(missing_ok=True)
 
 
 def renew(path: Path, contents: bytes) -> None:
     """Write a file or put another in its place: a crash or a power cut leaves the old one or the new one. OSError when
-    it can't be, and then the old one stays.
+    it can't be, and then the old one stays. A file has one writer at a time.
 
     What a writer left that was killed is hidden, so that nobody takes it for a file of the folder, and taken over.
     """
-    partial = path.with_name(f".{path.name}.partial")
+    partial = _partial_of(path)
     try:
         _to_the_disk(partial, contents)
         partial.replace(path)
     except OSError:
-        if partial.is_file():
-            partial.unlink()
+        with suppress(OSError):  # the first error says more
+            partial.unlink(missing_ok=True)
         raise
+
+
+def copy(source: Path, target: Path) -> None:
+    """As `renew`, but with what another file holds; for recordings, which are large."""
+    partial = _partial_of(target)
+    try:
+        shutil.copyfile(source, partial)
+        with partial.open("rb+") as file:
+            os.fsync(file.fileno())
+        partial.replace(target)
+    except OSError:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise
+
+
+def _partial_of(path: Path) -> Path:
+    return path.with_name(f".{path.name}.partial")
 
 
 def _to_the_disk(path: Path, contents: bytes) -> None:

@@ -11,6 +11,7 @@ from safetensors.numpy import save as save_tensors
 
 from bci_app.errors import SetupError
 from bci_app.sealed import Damaged, card_of, seal
+from bci_app.whole import write_new
 from decoder.rehearsal import Likeness
 
 FORMAT_VERSION: Literal[2] = 2
@@ -47,8 +48,7 @@ def save(likeness: Likeness, path: Path, participant: str, recording_sha256: str
     arrays = {name: np.ascontiguousarray(getattr(likeness, name)) for name in _ARRAYS}
     try:
         contents = seal(lambda words: save_tensors(arrays, metadata=words), _KEY, info.model_dump_json())
-        with path.open("xb") as file:
-            file.write(contents)
+        write_new(path, contents)
     except (OSError, SafetensorError) as error:
         raise SetupError(f"Can't write the rehearsal {path}: {error}. Is the disk full, or locked?") from error
 

@@ -26,7 +26,7 @@ from policy.recitation import RecitationSettings
 from policy.training import MISSING, PolicyJob, TeacherJob
 from policy.verdicts import Verdicts
 from policy.workers import Backend as Backend
-from policy.workers import Job, Pool, Watch, pool_of
+from policy.workers import Job, Pool, pool_of, watch
 
 ACCURACIES = tuple(round(0.55 + 0.05 * number, 2) for number in range(10))
 """Of the binary policies of the library."""
@@ -238,7 +238,7 @@ def _sweep(jobs: Sequence[Job], folder: Path, pool: Pool, progress: Progress, wh
     failed: dict[str, Exception] = {}
     # A worker that outlives an interruption may hold a note open; Windows then can't remove it.
     notes = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
-    with notes as notes_folder, Watch(missing, Path(notes_folder), progress, what) as watch:
+    with notes as notes_folder, watch(missing, Path(notes_folder), progress, what) as watching:
         for number, made in pool(missing, Path(notes_folder)):
             job = missing[number]
             if isinstance(made, Exception):
@@ -249,7 +249,7 @@ def _sweep(jobs: Sequence[Job], folder: Path, pool: Pool, progress: Progress, wh
             except (SetupError, OSError) as error:
                 failed[job.name] = error
             else:
-                watch.finished(number)
+                watching.finished(number)
     if failed:
         raise _summary(failed, len(missing), what, folder)
 

@@ -6,15 +6,16 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal
 
 import joblib
 import torch
 
 from bci_app.progress import Progress
+from bci_app.watching import Watch, note
 from policy import cluster, training
 from policy.processor import device
 from policy.training import PolicyJob, TeacherJob
@@ -24,7 +25,7 @@ Pool = Callable[[Sequence[Job], Path], Iterator[tuple[int, bytes | Exception]]]
 """Does jobs, with a folder for notes on how far they are: each job's number and what it made, or why it couldn't."""
 
 POLL_S = 0.5
-"""Real seconds between two looks at how far the workers are."""
+"""Real seconds between two looks for the process that waits for a worker."""
 _ALONE = threading.Lock()
 """Held by a job that runs: a process has one generator of weights and one cache of rounded weights, and a Dask worker
 may have several threads. With two jobs at a time the same seed wouldn't give the same weights."""
@@ -87,16 +88,7 @@ def _attempt_here(number: int, job: Job, notes: Path, owner: int) -> tuple[int, 
         threading.Thread(target=_end_with, args=(owner,), daemon=True).start()
     if device().type == "cuda":
         torch.cuda.set_device(number % torch.cuda.device_count())
-    partial = notes / f"{number}.partial"
-
-    def note(done: int, of: int, _word: str) -> None:
-        # Windows replaces no file that is being read, and the folder goes when the one who waits is interrupted. The
-        # next note will do: nothing that is only shown may stop a training.
-        with suppress(OSError):
-            partial.write_text(f"{done} {of}")
-            partial.replace(notes / str(number))
-
-    return number, attempt(job, note)
+    return number, attempt(job, lambda done, of, _word: note(notes, number, done, of))
 
 
 def _end_with(owner: int) -> None:
@@ -106,50 +98,13 @@ def _end_with(owner: int) -> None:
         os._exit(1)  # loky would take an exception for the job's, and wait for more jobs
 
 
-class Watch:
+def watch(jobs: Sequence[Job], notes: Path, progress: Progress, what: str) -> Watch:
     """Reports how far all jobs are, weighed by the moves they play, until it is left."""
+    total = round(sum(job.cost for job in jobs) / 1000)
 
-    def __init__(self, jobs: Sequence[Job], notes: Path, progress: Progress, what: str) -> None:
-        self._jobs, self._notes, self._progress, self._what = jobs, notes, progress, what
-        self._shares = [0.0] * len(jobs)
-        self._changing = threading.Lock()
-        self._left = threading.Event()
-        self._thread = threading.Thread(target=self._look, daemon=True)
+    def tell(shares: Sequence[float]) -> None:
+        done = sum(share * job.cost for share, job in zip(shares, jobs, strict=True))
+        n_ready = sum(share == 1 for share in shares)
+        progress(f"{what}, {n_ready} of {len(jobs)} ready, 1000 moves", round(done / 1000), total)
 
-    def __enter__(self) -> Self:
-        self._report()
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._left.set()
-        self._thread.join()
-        self._report()
-
-    def finished(self, number: int) -> None:
-        """A job's file is written."""
-        self._goes_on(number, 1.0)
-
-    def _goes_on(self, number: int, share: float) -> None:
-        """Never back: a note may be read while its job is finished."""
-        with self._changing:
-            self._shares[number] = max(self._shares[number], share)
-
-    def _look(self) -> None:
-        while not self._left.wait(POLL_S):
-            for number in range(len(self._jobs)):
-                self._goes_on(number, self._noted(number))
-            self._report()
-
-    def _noted(self, number: int) -> float:
-        try:
-            done, of = (self._notes / str(number)).read_text().split()
-        except OSError:  # none yet, or Windows is just replacing it: the next look will do
-            return 0.0
-        return min(int(done) / int(of), 0.99)  # it is tested and written yet
-
-    def _report(self) -> None:
-        done = sum(share * job.cost for share, job in zip(self._shares, self._jobs, strict=True))
-        n_done = sum(share == 1 for share in self._shares)
-        word = f"{self._what}, {n_done} of {len(self._jobs)} ready, 1000 moves"
-        self._progress(word, round(done / 1000), round(sum(job.cost for job in self._jobs) / 1000))
+    return Watch(notes, len(jobs), tell)

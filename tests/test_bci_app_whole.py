@@ -1,5 +1,6 @@
 """Files that are there whole or not at all."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -7,7 +8,7 @@ from pathlib import Path
 import pytest
 from lsl_peers import until
 
-from bci_app.whole import renew, write_new
+from bci_app.whole import copy, renew, write_new
 
 FULL = """
 import resource, signal, sys
@@ -20,6 +21,7 @@ try:
 except OSError as error:
     print(error.strerror)
 """
+SIZE = 5_000_000
 WRITING = """
 import sys
 from pathlib import Path
@@ -38,12 +40,37 @@ def test_a_renewed_file_is_the_new_one_alone(tmp_path: Path) -> None:
         assert list(tmp_path.iterdir()) == [tmp_path / "file"]
 
 
-def test_a_new_file_takes_nobodys_place(tmp_path: Path) -> None:
+@pytest.mark.parametrize("links", [True, False])
+def test_a_new_file_takes_nobodys_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool) -> None:
+    if not links:
+        monkeypatch.setattr(os, "link", refuse)
     write_new(tmp_path / "file", b"first")
     with pytest.raises(FileExistsError):
         write_new(tmp_path / "file", b"second")
-    assert (tmp_path / "file").read_bytes() == b"first"
-    assert list(tmp_path.iterdir()) == [tmp_path / "file"]
+    assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == {"file": b"first"}
+
+
+def test_a_name_that_was_taken_in_vain_is_given_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "link", refuse)
+    monkeypatch.setattr(Path, "replace", refuse)
+    with pytest.raises(PermissionError):
+        write_new(tmp_path / "file", b"first")
+    assert list(tmp_path.iterdir()) == []
+
+
+def refuse(*_: object) -> None:
+    """As a file system does that has no such thing."""
+    raise PermissionError("not here")
+
+
+def test_a_copy_is_equal_and_alone(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"contents")
+    (tmp_path / "folder").mkdir()
+    copy(tmp_path / "file", tmp_path / "folder" / "copy")
+    assert {each.name: each.read_bytes() for each in (tmp_path / "folder").iterdir()} == {"copy": b"contents"}
+    with pytest.raises(FileNotFoundError):
+        copy(tmp_path / "absent", tmp_path / "folder" / "other")
+    assert [each.name for each in (tmp_path / "folder").iterdir()] == ["copy"]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a limit to files' sizes is POSIX's")
@@ -58,13 +85,21 @@ def test_where_it_cant_be_written_all_is_as_before(tmp_path: Path, how: str, bef
 
 
 def test_whoever_is_killed_while_writing_leaves_a_whole_file(tmp_path: Path) -> None:
-    path = tmp_path / "file"
-    for _ in range(10):
+    path, partial = tmp_path / "file", tmp_path / ".file.partial"
+    for k in range(10):
+        path.unlink(missing_ok=True)
+        partial.unlink(missing_ok=True)
         writer = subprocess.Popen([sys.executable, "-c", WRITING, path])
-        until((tmp_path / ".file.partial").exists, 60, "it to write")
+        until(path.exists, 60, "the first file")
+        until(lambda size=k * SIZE // 10: partial.exists() and size_of(partial) >= size, 60, "the next to be written")
         writer.kill()
         writer.wait()
-        if path.exists():
-            contents = path.read_bytes()
-            assert len(contents) == 5_000_000
-            assert contents in (b"a" * 5_000_000, b"b" * 5_000_000)
+        assert path.read_bytes() in (b"a" * SIZE, b"b" * SIZE)
+
+
+def size_of(path: Path) -> int:
+    """Of a file that may just have got another name."""
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return 0

@@ -30,7 +30,6 @@ from policy.processor import arithmetic, device
 from policy.recitation import RecitationSettings
 from policy.training import MISSING, PolicyJob, TeacherJob
 from policy.verdicts import Verdicts
-from policy.workers import Watch
 
 TINY = Settings(
     teacher=PlannerSettings(n_episodes=16, n_steps=4, n_minibatches=2, updates=2, critic_updates=1),
@@ -313,17 +312,6 @@ def test_a_result_that_cant_be_written_is_kept_elsewhere(copy, square, tmp_path,
     assert_same_weights(kept, lost)
 
 
-@pytest.mark.parametrize("links", [True, False])
-def test_a_file_is_written_whole_and_never_over_another(tmp_path, monkeypatch, links):
-    if not links:
-        monkeypatch.setattr(os, "link", lambda source, target: (_ for _ in ()).throw(PermissionError("no links here")))
-    library.write_new(tmp_path / "one", b"first")
-    with pytest.raises(FileExistsError):
-        library.write_new(tmp_path / "one", b"second")
-    assert state(tmp_path).keys() == {"one"}
-    assert (tmp_path / "one").read_bytes() == b"first"
-
-
 @pytest.mark.parametrize(("error", "says"), [(SetupError("no such goal."), "no such goal"), (KeyError("goal"), "goal")])
 def test_one_job_that_fails_does_not_lose_the_others(copy, shelf, square, monkeypatch, error, says):
     both = [copy / f"square_{name}.safetensors" for name in ("080", "score070")]
@@ -375,13 +363,13 @@ def test_progress_never_stops_a_training_and_makes_no_folder(tmp_path):
     (tmp_path / "1").mkdir()  # a note that can neither be read nor replaced
     workers._attempt_here(1, Short(), tmp_path, os.getpid())
     workers._attempt_here(0, Short(), tmp_path, os.getpid())
-    watch = Watch([Short(), Short()], tmp_path, lambda *news: None, "policies")
+    watch = workers.watch([Short(), Short()], tmp_path, lambda *news: None, "policies")
     assert (watch._noted(0), watch._noted(1)) == (0.5, 0.0)
 
 
 def test_a_late_note_takes_no_finished_job_back_and_the_end_is_told(tmp_path):
     told = []
-    with Watch([Short()], tmp_path, lambda *news: told.append(news), "policies") as watch:
+    with workers.watch([Short()], tmp_path, lambda *news: told.append(news), "policies") as watch:
         watch.finished(0)
         watch._goes_on(0, 0.5)
     assert [news[1:] for news in (told[0], told[-1])] == [(0, 1), (1, 1)]

@@ -12,7 +12,7 @@ from conftest import Cli
 from dask.distributed import LocalCluster
 from sklearn.linear_model import LogisticRegression
 
-from bci_app import fitting
+from bci_app import fitting, watching
 from bci_app.config import Config, SimulationConfig, changed
 from bci_app.errors import SetupError
 from bci_app.gridworld import load_map
@@ -24,6 +24,7 @@ from bci_app.runs import read_sidecar
 from bci_app.study import alone, plan, running
 from bci_app.study.conditions import coin
 from bci_app.study.conduct import names_of
+from bci_app.study.jobs import Made
 from bci_app.study.parts import Kept
 from decoder import rehearsal_file
 from decoder.attention import Attention
@@ -232,7 +233,8 @@ def test_an_error_nobody_foresaw_is_raised_once_all_others_are_through(
     assert again["unfinished"] == []
 
 
-def test_whose_parts_cant_be_kept_costs_nobody_else(tmp_path: Path) -> None:
+def test_whose_parts_cant_be_kept_costs_nobody_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watching, "POLL_S", 0.01)
     people = [{"name": name, "seed": 2} for name in ("P1", "P2")]
     study = small_study(tmp_path, conditions=["none"], participants=people, side_by_side=1)
     (tmp_path / "one-process" / ".P1.json.partial").mkdir(parents=True)
@@ -240,8 +242,21 @@ def test_whose_parts_cant_be_kept_costs_nobody_else(tmp_path: Path) -> None:
     with pytest.raises(SetupError, match=r"Of 2 participants 1 couldn't go on; .*report: .*Participant P1: Can't keep"):
         running.run(study, "one-process", None, "local", None, lambda what, done, of: seen.append((done, of)))
     assert set(Kept.of(study, study.participants[1], "one-process").parts) == {"calibration", "none open"}
-    assert seen[-1] == (2, 4)
-    assert seen == sorted(seen)
+    assert list(dict.fromkeys(seen)) == [(0, 4), (1, 4), (2, 4)]  # while it was done
+
+
+def test_what_a_cluster_made_and_cant_be_kept_here_costs_nobody_else(tmp_path: Path) -> None:
+    people = [{"name": name, "seed": 2} for name in ("P1", "P2")]
+    study = small_study(tmp_path, conditions=["none"], participants=people)
+    (tmp_path / "one-process" / ".P1.json.partial").mkdir(parents=True)
+    troubles = running._Troubles(2)
+    made = Made({"parts": {"calibration": {"n_moves": 60}}, "stopped": {}})
+    assert [troubles.take(name, made, study, "one-process") for name in ("P1", "P2")] == [False, True]
+    assert not troubles.take("P2", Made(refusal="The cluster gave it up.", crash="Traceback"), study, "one-process")
+    with pytest.raises(
+        RuntimeError, match=r"2 participants 1 .*\(there\)\.\nParticipant P1: Can't keep(.|\n)*P2: The clu"
+    ):
+        troubles.end("there")
 
 
 def test_after_a_calibration_that_cant_be_fitted_there_can_be_another(tmp_path: Path) -> None:

@@ -9,13 +9,13 @@ from filecmp import cmp
 from pathlib import Path
 from typing import Any
 
+from bci_app import whole
 from bci_app.bids import files, tables, words
 from bci_app.bids.about import About
 from bci_app.bids.columns import COLUMNS
 from bci_app.bids.source import NAME, Source, find, read_source, run_of
 from bci_app.errors import SetupError
 from bci_app.progress import Progress
-from bci_app.whole import renew
 
 STAGING = ".bci-app-"
 """Beginning of the folder in which a run is put together."""
@@ -278,7 +278,7 @@ def _write_json(path: Path, content: Any) -> None:
 
 
 def _write(path: Path, content: str) -> None:
-    renew(path, content.encode())
+    whole.renew(path, content.encode())
 
 
 def _copy(path: Path, target: Path) -> None:
@@ -288,6 +288,4 @@ def _copy(path: Path, target: Path) -> None:
             raise SetupError(f"{target} differs from {path}. Nothing is overwritten: remove the one that is wrong.")
         return
     target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.with_name(f".{target.name}.part")
-    shutil.copyfile(path, temporary)
-    temporary.replace(target)
+    whole.copy(path, target)

@@ -3,8 +3,10 @@
 What is done is kept and not made again. Conditions have visits of their own, for a participant may come for each.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from bci_app import fitting
 from bci_app.config import Config, changed
@@ -20,14 +22,19 @@ from bci_app.study.plan import Condition, Participant, Study, Through
 from bci_app.study.ways import InOneProcess, Stopped, ThroughProcesses, Way
 from decoder import model, rehearsal_file
 
+PartDone = Callable[[int, int], None]
+"""Called with how many parts of a participant are done, and of how many."""
+
 PAPER, COIN = "paper", "coin"
 """Decoders beside our own that are made of the same calibration."""
 MUTE = "calibration mute"
 """The calibration of a participant without an ErrP."""
 
 
-def go_through(study: Study, who: Participant, through: Through, progress: Progress) -> Kept:
-    """Make all parts that aren't done yet.
+def go_through(
+    study: Study, who: Participant, through: Through, progress: Progress, part_done: PartDone = lambda done, of: None
+) -> Kept:
+    """Make all parts that aren't done yet; ``part_done`` is called at the beginning and after each.
 
     A part that fails, and a participant who stops, end it: that is kept, with the reason. Raises SetupError for what
     is wrong with what is kept; KeyboardInterrupt passes through, and a person's part is then kept as stopped. So does
@@ -37,7 +44,7 @@ def go_through(study: Study, who: Participant, through: Through, progress: Progr
     kept.stopped = {}
     alone = InOneProcess()
     way: Way = alone if through == "one-process" else ThroughProcesses(not who.is_real, study.speed, progress)
-    conducted = _Conducted(study, who, way, alone if "mute" in study.in_one_process else way, kept)
+    conducted = _Conducted(study, who, way, alone if "mute" in study.in_one_process else way, kept, part_done)
     try:
         conducted.all()
     except (SetupError, LinkLost, Stopped) as error:
@@ -47,7 +54,10 @@ def go_through(study: Study, who: Participant, through: Through, progress: Progr
             kept.stop(conducted.part, "interrupted by Ctrl-C")
         raise
     except Exception as error:
-        kept.stop(conducted.part, f"an error of the program, {type(error).__name__}: {error}")
+        try:
+            kept.stop(conducted.part, f"an error of the program, {type(error).__name__}: {error}")
+        except SetupError as also:
+            error.add_note(str(also))
         raise
     return kept
 
@@ -65,9 +75,11 @@ class _Conducted:
     way: Way
     mutes: Way
     kept: Kept
+    part_done: PartDone
     part: str = CALIBRATION
 
     def all(self) -> None:
+        self._tell()
         config = self._config()
         self._calibrate(CALIBRATION, config, "CAL")
         mute = changed(config, {"simulation": {"errp": False}})
@@ -109,7 +121,7 @@ class _Conducted:
                 self.kept.recorded.pop(part, None)  # no decoder can be had of it: the next time another is made
                 raise
         papers_info = model.load(self._decoder(PAPER)).info if PAPER in others else None
-        self.kept.done(part, of_calibration(model.load(target).info, papers_info, target, path))
+        self._keep(part, of_calibration(model.load(target).info, papers_info, target, path))
 
     def _fit(self, recording: Recording, config: Config, seed: int, path: str, missing: list[str]) -> None:
         """Make the files of the decoders that are missing."""
@@ -136,7 +148,15 @@ class _Conducted:
         way = self.mutes if condition == "mute" else self.way
         recording, path = way.online(config, self.who.name, condition.upper(), seed, map_name, decoder, choice)
         said = {"condition": condition, "map": world.name, "policy": choice.name, "why": choice.reason}
-        self.kept.done(self.part, said | {"listens": choice.listens} | of_online(recording, path))
+        self._keep(self.part, said | {"listens": choice.listens} | of_online(recording, path))
+
+    def _keep(self, part: str, result: dict[str, Any]) -> None:
+        self.kept.done(part, result)
+        self._tell()
+
+    def _tell(self) -> None:
+        names = names_of(self.study, self.who)
+        self.part_done(len(set(names) & set(self.kept.parts)), len(names))
 
     def _decoder(self, part: str) -> Path:
         ending = "" if part == CALIBRATION else f"_{part.removeprefix('calibration ')}"

@@ -1,8 +1,8 @@
 """`bci-app study`: participants side by side, as far as the cores or a cluster allow, then the report."""
 
-import traceback
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -12,46 +12,20 @@ from bci_app.errors import SetupError
 from bci_app.gridworld import load_map
 from bci_app.progress import Progress
 from bci_app.report import Row
-from bci_app.study import page, tables, watching
-from bci_app.study.apart import apart, has_own_ports
+from bci_app.study import page, tables
+from bci_app.study.apart import has_own_ports
 from bci_app.study.conduct import go_through, names_of
+from bci_app.study.jobs import Job, Made, made_of
 from bci_app.study.parts import Kept
 from bci_app.study.plan import Participant, Study, Through
-from policy import cards, cluster
+from bci_app.watching import Watch
+from policy import cards
 
 SESSIONS_A_CORE, MOST_SESSIONS = 2.5, 10
 """Sessions side by side on one machine, unless `side_by_side` says otherwise: one takes a third of a core at speed 40,
 for half of its time it waits for its processes to start, find each other and end (measured)."""
 MOST_ON_THE_SAME_PORTS = 3
 """Where the lab's own LSL settings hold: an online session has 8 streams, and LSL's usual ports are 32."""
-
-
-@dataclass(frozen=True)
-class Job:
-    """One simulated participant, for a worker: plain values only, so that any machine can take it."""
-
-    study: str
-    participant: str
-    through: Through
-    is_beside_others: bool = False
-
-
-def attempt(job: Job) -> dict[str, Any]:
-    """In a worker: all that is left to do of a participant; what is kept then. An error is that participant's, and no
-    other's: what is wrong with what is kept is told as `refusal`, an error that nobody foresaw as `crash`, and either
-    is raised when all others are through."""
-    if job.is_beside_others:
-        apart()
-    study = Study.model_validate_json(job.study)
-    who = study.participant(job.participant)
-    crash = None
-    try:
-        kept = go_through(study, who, job.through, lambda what, done, of: None)
-    except SetupError as error:
-        return {"refusal": f"Participant {who.name}: {error}"}
-    except Exception:  # noqa: BLE001 (raised again by `run`)
-        kept, crash = Kept.of(study, who, job.through), traceback.format_exc()
-    return {"head": kept.head, "parts": kept.parts, "stopped": kept.stopped, "crash": crash}
 
 
 def run(
@@ -81,29 +55,84 @@ def run(
     left = [each for each in wanted if set(names_of(study, each)) - set(before[each.name].parts)]
     for who in [each for each in left if each.is_real]:
         go_through(study, who, "processes", progress)
-    simulated, n = [each for each in left if not each.is_real], _side_by_side(study, through)
-    beside = through == "processes" and n > 1 and len(simulated) > 1
-    jobs = [Job(study.model_dump_json(), each.name, through, beside) for each in simulated]
-    refusals: list[str] = []
-    crashes: dict[str, str] = {}
-    with watching.told(study, through, simulated, progress):
-        for made in _made(jobs, n, backend, scheduler):
-            if "refusal" in made:
-                refusals.append(made["refusal"])
-                continue
-            _keep(study, through, made)
-            if made["crash"]:
-                crashes[made["head"]["participant"]] = made["crash"]
-    result = summary(study, through) | {"seconds": perf_counter() - started}
-    kept = f"what the others did is kept (report: {result['report']})."
-    if crashes:
-        told = "\n".join([*refusals, *(f"Participant {name}: {crash}" for name, crash in crashes.items())])
-        raise RuntimeError(
-            f"Of {len(jobs)} participants {len(crashes)} ended by an error of the program; {kept}\n{told}"
-        )
-    if refusals:
-        raise SetupError(f"Of {len(jobs)} participants {len(refusals)} couldn't go on; {kept} {' '.join(refusals)}")
+    simulated = [each for each in left if not each.is_real]
+    troubles = _Troubles(len(simulated))
+    if simulated:
+        _simulate(study, simulated, through, backend, scheduler, progress, troubles)
+    try:
+        result = summary(study, through) | {"seconds": perf_counter() - started}
+    except SetupError as error:
+        troubles.end(f"no report: {error}")
+        raise
+    troubles.end(f"report: {result['report']}")
     return result
+
+
+def _simulate(
+    study: Study,
+    people: Sequence[Participant],
+    through: Through,
+    backend: str,
+    scheduler: str | None,
+    progress: Progress,
+    troubles: "_Troubles",
+) -> None:
+    """Make what is left to do of these participants, side by side."""
+    n = _side_by_side(study, through)
+    beside = through == "processes" and n > 1 and len(people) > 1
+    # A worker that outlives an interruption may hold a note open; Windows then can't remove it.
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as notes:
+        here = None if backend == "dask" else notes
+        text = study.model_dump_json()
+        jobs = [Job(text, who.name, through, number, here, beside) for number, who in enumerate(people)]
+        with _watch(study, people, Path(notes), progress) as watching:
+            for number, made in made_of(jobs, n, backend, scheduler):
+                if troubles.take(people[number].name, made, study, through):
+                    watching.finished(number)
+
+
+class _Troubles:
+    """Those of single participants: told when all others are through."""
+
+    def __init__(self, n: int) -> None:
+        self._n = n
+        self._refusals: list[str] = []
+        self._crashes: list[str] = []
+
+    def take(self, name: str, made: Made, study: Study, through: Through) -> bool:
+        """Keep what was made; whether the participant is through."""
+        refusals = [made.refusal] if made.refusal else []
+        try:
+            if made.kept is not None:
+                _keep(study, through, name, made.kept)
+        except SetupError as error:
+            refusals.append(str(error))
+        self._refusals += [f"Participant {name}: {refusal}" for refusal in refusals]
+        self._crashes += [f"Participant {name}: {made.crash}"] if made.crash else []
+        return not (refusals or made.crash)
+
+    def end(self, where: str) -> None:
+        """Raise RuntimeError for errors of the program, SetupError for others; ``where`` the rest is to be seen."""
+        kept = f"what the others did is kept ({where})."
+        if self._crashes:
+            told = "\n".join([*self._refusals, *self._crashes])
+            n = len(self._crashes)
+            raise RuntimeError(f"Of {self._n} participants {n} ended by an error of the program; {kept}\n{told}")
+        if self._refusals:
+            n = len(self._refusals)
+            raise SetupError(f"Of {self._n} participants {n} couldn't go on; {kept} {' '.join(self._refusals)}")
+
+
+def _watch(study: Study, people: Sequence[Participant], notes: Path, progress: Progress) -> Watch:
+    """Tells how many parts of these participants are done."""
+    parts = [len(names_of(study, who)) for who in people]
+
+    def tell(shares: Sequence[float]) -> None:
+        done = sum(round(share * n) for share, n in zip(shares, parts, strict=True))
+        n_through = sum(share == 1 for share in shares)
+        progress(f"calibrations and runs, {n_through} of {len(people)} participants through", done, sum(parts))
+
+    return Watch(notes, len(people), tell)
 
 
 def check_maps(study: Study) -> None:
@@ -134,25 +163,9 @@ def _side_by_side(study: Study, through: Through) -> int:
     return min(MOST_SESSIONS if has_own_ports() else MOST_ON_THE_SAME_PORTS, round(SESSIONS_A_CORE * cores))
 
 
-def _made(jobs: Sequence[Job], n: int, backend: str, scheduler: str | None) -> Iterator[dict[str, Any]]:
-    if backend == "dask":
-        with cluster.connected(scheduler) as client:
-            for number, made in cluster.results(client, attempt, jobs):
-                if isinstance(made, SetupError):  # one participant's; the others go on
-                    yield {"refusal": f"Participant {jobs[number].participant}: {made}"}
-                else:
-                    yield made
-        return
-    if n == 1 or len(jobs) == 1:
-        yield from map(attempt, jobs)
-        return
-    parallel = joblib.Parallel(n_jobs=n, batch_size=1, return_as="generator_unordered", backend="loky")
-    yield from parallel(joblib.delayed(attempt)(job) for job in jobs)
-
-
-def _keep(study: Study, through: Through, made: dict[str, Any]) -> None:
+def _keep(study: Study, through: Through, name: str, made: dict[str, Any]) -> None:
     """What another machine has made, which this one's folder may not have."""
-    kept = Kept.of(study, study.participant(made["head"]["participant"]), through)
+    kept = Kept.of(study, study.participant(name), through)
     if set(made["parts"]) - set(kept.parts) or made["stopped"] != kept.stopped:
         kept.parts, kept.stopped = made["parts"], made["stopped"]
         kept.save()
