@@ -32,6 +32,9 @@ if "LSLAPICFG" not in os.environ and not any(path.exists() for path in USUAL_PLA
     # liblsl reads it at its first call; by the environment, so that LabRecorder and the other processes do so too.
     os.environ["LSLAPICFG"] = str(files("bci_app") / "lsl_api.cfg")
 
+MOST_AT_ONCE = 1000
+"""Messages of one pull, so that who is flooded still comes to do other things (decided: a whole run says some
+thousands)."""
 OPEN_TIMEOUT_S = 10.0
 """Real seconds a stream that was just resolved may take to open, and to describe itself."""
 
@@ -223,15 +226,16 @@ class MessageInlet:
         return cls(found[0], spec, session) if found else None
 
     def pull(self, timeout: float = 0.0) -> list[Received]:
-        """All waiting messages; waits up to `timeout` real seconds for the first."""
+        """The waiting messages, `MOST_AT_ONCE` at most; waits up to `timeout` real seconds for the first."""
         received: list[Received] = []
-        sample, stamp = self._inlet.pull_sample(timeout)
-        while sample is not None:
+        for number in range(MOST_AT_ONCE):
+            sample, stamp = self._inlet.pull_sample(0.0 if number else timeout)
+            if sample is None:
+                break
             try:
                 received.append(Received(decode(sample[0], self._session), stamp, local_clock()))
             except BadMessage as error:
                 self.refused.append(f"{self._spec.name}: {error}")
-            sample, stamp = self._inlet.pull_sample(0.0)
         return received
 
     def clock_correction(self) -> float:

@@ -143,6 +143,9 @@ class ForeignStimulus:
         self.say("MoveOnset", onset, episode=episode, step=step, action="east", **where)
         return onset
 
+    def has_listeners(self) -> bool:
+        return bool(self._out.have_consumers())
+
     def raw(self, text: str) -> None:
         self._out.push_sample([text], pylsl.local_clock())
 
