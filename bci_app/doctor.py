@@ -184,11 +184,16 @@ def _fits(model_path: Path, inlet: EegInlet) -> dict[str, Any]:
 
 def show(result: dict[str, Any], console: Console) -> None:
     """The findings as two tables."""
-    streams = Table("name", "type", "channels", "Hz", "source id", "host", title="Streams")
+    streams, checks = Table(title="Streams"), Table(title="Checks")
+    for table, heads in (
+        (streams, ("name", "type", "channels", "Hz", "source id", "host")),
+        (checks, ("", "check", "found")),
+    ):
+        for head in heads:
+            table.add_column(head, overflow="fold")  # an id or a path that is cut off is of no use
     for stream in result["streams"]:
         values = ("name", "type", "channels", "sfreq", "source_id", "hostname")
         streams.add_row(*(escape(str(stream[key])) for key in values))
-    checks = Table("", "check", "found", title="Checks")
     for each in result["checks"]:
         checks.add_row("[green]ok[/]" if each["ok"] else "[red]no[/]", each["check"], escape(each["text"]))
     console.print(streams, checks)

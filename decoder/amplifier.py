@@ -1,6 +1,6 @@
 """The amplifier process of a simulation: plays a participant's EEG over LSL and listens to nothing but the truth."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -10,7 +10,7 @@ from bci_app.clock import Clock
 from bci_app.config import Config, SimulationConfig
 from bci_app.eeg import EegDescription
 from bci_app.errors import SetupError
-from bci_app.lsl import EegOutlet, MessageInlet, local_clock
+from bci_app.lsl import EegInfo, EegOutlet, MessageInlet, Watch, local_clock
 from bci_app.peer import Peer
 from bci_app.protocol import (
     AMPLIFIER_NOTES,
@@ -20,6 +20,7 @@ from bci_app.protocol import (
     Position,
     SessionEnd,
     SessionStart,
+    StreamSpec,
     Truth,
     simulated_source_id,
 )
@@ -36,7 +37,7 @@ INPUT_NOISE_UV = 0.2
 BURST = 5
 """Packets lost in a row, in the mean (decided)."""
 LOOK_EVERY = 10
-"""Rounds between two looks for the stimulus's streams, while they are not found: a look takes time from the play."""
+"""Rounds between two looks for the stimulus's streams, while they are not found."""
 
 
 def run(
@@ -116,6 +117,8 @@ class _Player:
         self._is_in_burst = False
         self._truth: MessageInlet | None = None
         self._stimulus: MessageInlet | None = None
+        # It never waits for a stream: while it does, no samples are sent.
+        self._network: Watch | None = Watch()
         self._rounds = 0
         self._played = self._n_acquired()
         self.ended = False
@@ -128,11 +131,17 @@ class _Player:
     def connect(self) -> None:
         """Look for the stimulus, now and then, until it is found."""
         self._rounds += 1
-        if self.listening or self._rounds % LOOK_EVERY:
+        if self._network is None or self._rounds % LOOK_EVERY:
             return
-        self._truth = self._truth or MessageInlet.find(TRUTH, self._peer.session, timeout=1.0)
-        if self._truth:
-            self._stimulus = self._stimulus or MessageInlet.find(STIMULUS, self._peer.session, timeout=1.0)
+        found = self._network.found()
+        self._truth = self._truth or self._inlet(TRUTH, found)
+        self._stimulus = self._stimulus or self._inlet(STIMULUS, found)
+        if self.listening:
+            self._network = None
+
+    def _inlet(self, spec: StreamSpec, found: Mapping[str, EegInfo]) -> MessageInlet | None:
+        info, session = found.get(spec.source_id(self._peer.session)), self._peer.session
+        return MessageInlet(info, spec, session) if info is not None else None
 
     def listen(self, timeout: float) -> None:
         """React to moves as soon as their truth is told; the stimulus's own stream tells only when all is over."""

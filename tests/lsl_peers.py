@@ -17,7 +17,12 @@ LABELS = list(
 )
 
 
-def until(condition: Callable[[], Any], seconds: float, what: str, between: Callable[[], None] = lambda: None) -> Any:
+def a_moment() -> None:
+    """Between two looks: whoever is waited for needs the core more."""
+    time.sleep(0.01)
+
+
+def until(condition: Callable[[], Any], seconds: float, what: str, between: Callable[[], None] = a_moment) -> Any:
     """Wait on a condition with a deadline; between two looks do `between`."""
     deadline = time.monotonic() + seconds
     while True:
@@ -100,7 +105,7 @@ class ForeignAmplifier:
             if self._outlet is not None:
                 self._outlet.push_chunk((samples * self._in_a_microvolt).astype(np.float32), stamps.tolist())
             self._sent = due
-        time.sleep(0.01)
+        a_moment()
 
     def play_for(self, seconds: float) -> None:
         """Play as long as that."""

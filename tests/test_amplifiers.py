@@ -103,6 +103,25 @@ def test_a_wrong_amplifier_is_refused_before_anything_starts(
         assert "Traceback" not in said
 
 
+def test_a_simulated_amplifier_that_is_alone_is_like_any_other(tmp_path: Path) -> None:
+    """For a doctor without hardware: it plays on while it looks for a stimulus that never comes."""
+    config = tmp_path / "alone.toml"
+    config.write_text('[eeg]\nsource_id = "bci-app/alone/eeg"\n', encoding="utf-8")
+    stimulus = ForeignStimulus("beside")
+    with (
+        process("amplifier", "--session", "alone"),
+        process("decoder", "--session", "beside", "--config", config) as decoder,
+    ):
+        verdicts = stimulus.listen("bci-verdicts")
+        until(lambda: verdicts.is_ready() or decoder.poll() is not None, 90, "the decoder")
+        stimulus.walk(0, lambda _seconds: None)
+        for step in range(1, 5):
+            stimulus.move(step)
+            until(lambda step=step: len(verdicts.of("Verdict")) == step, 45, "a verdict")
+    assert {verdict["outcome"] for verdict in verdicts.of("Verdict")} == {"unjudged"}
+    assert not [note for note in verdicts.of("Note") if "No EEG" in note["text"]]
+
+
 def test_a_second_session_of_the_same_person_is_refused_before_anything_starts(tmp_path: Path) -> None:
     session = "sub-P1_ses-S001_task-online_run-001-0a1b2c"
     info = pylsl.StreamInfo("bci-session", "Events", 1, 0.0, "string", f"bci-app/{session}/bci-session")

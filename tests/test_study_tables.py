@@ -146,6 +146,15 @@ def test_of_one_or_two_participants_there_is_no_interval_over_participants(numbe
     assert [row[name] for name in tables.OVER_PEOPLE] == [None] * len(tables.OVER_PEOPLE)
 
 
+def test_without_the_condition_none_nothing_is_compared() -> None:
+    people = [person(f"P{number}") for number in range(4)]
+    alone = [{**each, "parts": {k: v for k, v in each["parts"].items() if not k.startswith("none")}} for each in people]
+    for those, compares in ((people, True), (alone, False)):
+        found = tables.headline(those, ("ours",), ("open",), 0.7)
+        for row in (*found, *tables.by_participant(those, ("ours",), ("open",))):
+            assert [row[key] is not None for key in ("steps_vs_none", "p", "p_ranks")] == [compares] * 3
+
+
 def test_of_two_pairs_there_is_no_interval_over_pairs() -> None:
     people = [person("A1"), person("A2", 0.8), person("A3", 0.6, none_open=True)]
     row = tables.headline(people, ("none", "ours"), ("open",), 0.7)[2]

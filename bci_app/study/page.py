@@ -64,11 +64,9 @@ def _first(
         how += f", but for {', '.join(study.in_one_process)} in one process"
     lines = [f"{count(len(people), 'participant')} ({who}), through {how}. Every condition has the same episodes."]
     for row in rows:
-        if row["group"] == tables.ALL and row["map"] == tables.ALL and row["condition"] != study.conditions[0]:
-            lines.append(
-                f"{_sentence(row['condition'])}: {_steps(row)} steps against no ErrP, success "
-                f"{percent(row['success'])}."
-            )
+        if row["group"] == tables.ALL and row["map"] == tables.ALL and row["condition"] != tables.NONE:
+            against = "" if row["steps_vs_none"] is None else f"{_steps(row)} steps against no ErrP, "
+            lines.append(f"{_sentence(row['condition'])}: {against}success {percent(row['success'])}.")
     if any(kind == "simulated" for kind in kinds):
         lines.append(
             "Simulated participants are no people: this is what the study would show if people were like them."
@@ -83,7 +81,9 @@ def _sections(
     study: Study, maps: Sequence[str], found: Tables, rows: Sequence[Row], own: Sequence[Row]
 ) -> list[Section]:
     shown = [_published(found["headline"]), *_headlines(rows)]
-    per_person = [(SAID[condition], [_people(own, condition)]) for condition in study.conditions[1:]]
+    per_person = [
+        (SAID[condition], [_people(own, condition)]) for condition in study.conditions if condition != tables.NONE
+    ]
     sections = [
         Section("Steps against no ErrP", shown=shown, folded=per_person),
         Section("Not done", shown=[_lacking(found["unfinished"])] if found["unfinished"] else []),

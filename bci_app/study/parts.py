@@ -71,8 +71,9 @@ class Kept:
             found = json.loads(path.read_text(encoding="utf-8"))
             digest, parts, recorded, stopped = (found[name] for name in ("digest", "parts", "recorded", "stopped"))
         except (OSError, ValueError, LookupError, TypeError) as error:
+            why = error if isinstance(error, OSError | ValueError) else "a part of it is missing"
             raise SetupError(
-                f"{path} should tell what is done of participant {who.name}, and can't be read ({error}). Restore it, "
+                f"{path} should tell what is done of participant {who.name}, and can't be read ({why}). Restore it, "
                 "or move it away to begin this participant anew."
             ) from error
         if digest != head["digest"]:

@@ -41,6 +41,8 @@ def episodes(person: Person, condition: str, maps: Sequence[str]) -> list[Row]:
     return rows
 
 
+NONE = "none"
+"""The condition that the others are compared with."""
 OVER_PAIRS = ("steps_vs_none_low", "steps_vs_none_high", "p", "p_ranks")
 OVER_PEOPLE = ("mean_steps_low", "mean_steps_high", *OVER_PAIRS)
 """What is told of three participants or more, and not of fewer."""
@@ -126,7 +128,7 @@ def headline(people: Sequence[Person], conditions: Sequence[str], maps: Sequence
     for group, those in groups(people, papers_gate).items():
         for condition in conditions:
             for name in (*maps, ALL):
-                found = compared(those, condition, conditions[0], maps if name == ALL else [name])
+                found = compared(those, condition, NONE, maps if name == ALL else [name])
                 if found is not None:
                     if found["participants"] < FEWEST_PEOPLE:
                         found |= dict.fromkeys(OVER_PEOPLE)
@@ -142,7 +144,7 @@ def by_participant(people: Sequence[Person], conditions: Sequence[str], maps: Se
     for person in people:
         for condition in conditions:
             for name in (*maps, ALL):
-                found = compared([person], condition, conditions[0], maps if name == ALL else [name])
+                found = compared([person], condition, NONE, maps if name == ALL else [name])
                 if found is not None:
                     rows.append({"participant": person["participant"], "condition": condition, "map": name, **found})
     return rows
