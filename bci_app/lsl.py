@@ -183,8 +183,13 @@ class LateInlet:
         self._ended = threading.Event()
         threading.Thread(target=self._find, name=f"find {spec.name}", daemon=True).start()
 
+    @property
+    def inlet(self) -> "MessageInlet | None":
+        """The inlet, once it is open."""
+        return self._inlet
+
     def pull(self) -> list[Received]:
-        """What came since the last call; none of it is waited for. What is no message of this session is left out."""
+        """What came, none of it waited for, as `MessageInlet.pull`. What is no message of this session is left out."""
         inlet = self._inlet
         if inlet is None:
             return []
@@ -198,11 +203,13 @@ class LateInlet:
         self._inlet = None
 
     def _find(self) -> None:
-        while self._inlet is None and not self._ended.wait(1.0):
+        while self._inlet is None:
             try:
                 self._inlet = MessageInlet.find(self._spec, self._session, timeout=0.5)
             except LinkLost:
                 log.info("Stream '%s' was found but is gone again.", self._spec.name)
+            if self._ended.wait(0.0 if self._inlet else 1.0):
+                return
 
 
 class MessageInlet:

@@ -208,13 +208,12 @@ def _check_disk(config: Config, eeg: EegDescription) -> None:
 
 def _look_at_eeg(wishes: Wishes) -> EegDescription:
     """The lab's EEG stream, before anything is started or written: there, only once, with labels and units; and no
-    session of the same visit, or the same id, that runs on this computer already."""
+    session that runs on this computer already with the same id, or with an id of its own and for the same visit."""
     eeg = describe(find_eeg(wishes.config.eeg, timeout=5.0))
     eeg.check()
     _check_disk(wishes.config, eeg)
-    visit = f"sub-{wishes.participant}_ses-{wishes.visit}_"
-    running = running_session(f"{wishes.session}/" if wishes.session else visit, ANSWER_S)
-    if running is not None:
+    theirs = [f"sub-{wishes.participant}_ses-{wishes.visit}_", *([f"{wishes.session}/"] if wishes.session else [])]
+    for running in filter(None, (running_session(beginning, ANSWER_S) for beginning in theirs)):
         raise SetupError(
             f"Session {running} is running on this computer already. End it first, or name another participant, visit "
             "or --session."

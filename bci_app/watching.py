@@ -33,12 +33,12 @@ class Watch:
     Parameters
     ----------
     folder : of the notes. A cluster's machines may not reach it: then only finished jobs count.
-    n_jobs : numbered from 0.
+    shares : what is done already of each job, numbered from 0.
     """
 
-    def __init__(self, folder: Path, n_jobs: int, tell: Tell) -> None:
+    def __init__(self, folder: Path, shares: Sequence[float], tell: Tell) -> None:
         self._folder, self._tell = folder, tell
-        self._shares = [0.0] * n_jobs
+        self._shares = list(shares)
         self._changing = threading.Lock()
         self._left = threading.Event()
         self._thread = threading.Thread(target=self._look, daemon=True)

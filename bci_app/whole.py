@@ -29,7 +29,8 @@ def write_new(path: Path, contents: bytes, partial: Path | None = None) -> None:
             try:
                 partial.replace(path)
             except OSError:
-                path.unlink()
+                with suppress(OSError):  # the first error says more
+                    path.unlink()
                 raise
     finally:
         partial.unlink(missing_ok=True)
@@ -46,7 +47,7 @@ def renew(path: Path, contents: bytes) -> None:
         _to_the_disk(partial, contents)
         partial.replace(path)
     except OSError:
-        with suppress(OSError):  # the first error says more
+        with suppress(OSError):
             partial.unlink(missing_ok=True)
         raise
 

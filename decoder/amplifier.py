@@ -1,6 +1,6 @@
 """The amplifier process of a simulation: plays a participant's EEG over LSL and listens to nothing but the truth."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -10,7 +10,7 @@ from bci_app.clock import Clock
 from bci_app.config import Config, SimulationConfig
 from bci_app.eeg import EegDescription
 from bci_app.errors import SetupError
-from bci_app.lsl import EegInfo, EegOutlet, MessageInlet, Watch, local_clock
+from bci_app.lsl import EegOutlet, LateInlet, local_clock
 from bci_app.peer import Peer
 from bci_app.protocol import (
     AMPLIFIER_NOTES,
@@ -20,7 +20,6 @@ from bci_app.protocol import (
     Position,
     SessionEnd,
     SessionStart,
-    StreamSpec,
     Truth,
     simulated_source_id,
 )
@@ -36,8 +35,6 @@ INPUT_NOISE_UV = 0.2
 """Standard deviation of an amplifier's own noise, uV (decided; 0.1 to 0.5 are usual)."""
 BURST = 5
 """Packets lost in a row, in the mean (decided)."""
-LOOK_EVERY = 10
-"""Rounds between two looks for the stimulus's streams, while they are not found."""
 
 
 def run(
@@ -61,7 +58,6 @@ def run(
         player.attention.open(task, layout)
     while not player.ended:
         peer.say("ready" if player.listening else "waiting", "playing EEG")
-        player.connect()
         player.listen(config.simulation.chunk_s)
         player.play()
     peer.linger(player.play)
@@ -115,40 +111,23 @@ class _Player:
         self._outlet: EegOutlet | None = EegOutlet(description, peer.session)
         self._began: float | None = None  # real time of the session's start
         self._is_in_burst = False
-        self._truth: MessageInlet | None = None
-        self._stimulus: MessageInlet | None = None
-        # It never waits for a stream: while it does, no samples are sent.
-        self._network: Watch | None = Watch()
-        self._rounds = 0
+        # While it waited for a stream, no samples would be sent.
+        self._truth, self._stimulus = (LateInlet(spec, peer.session) for spec in (TRUTH, STIMULUS))
         self._played = self._n_acquired()
         self.ended = False
 
     @property
     def listening(self) -> bool:
         """Whether the stimulus is heard."""
-        return self._truth is not None and self._stimulus is not None
-
-    def connect(self) -> None:
-        """Look for the stimulus, now and then, until it is found."""
-        self._rounds += 1
-        if self._network is None or self._rounds % LOOK_EVERY:
-            return
-        found = self._network.found()
-        self._truth = self._truth or self._inlet(TRUTH, found)
-        self._stimulus = self._stimulus or self._inlet(STIMULUS, found)
-        if self.listening:
-            self._network = None
-
-    def _inlet(self, spec: StreamSpec, found: Mapping[str, EegInfo]) -> MessageInlet | None:
-        info, session = found.get(spec.source_id(self._peer.session)), self._peer.session
-        return MessageInlet(info, spec, session) if info is not None else None
+        return self._truth.inlet is not None and self._stimulus.inlet is not None
 
     def listen(self, timeout: float) -> None:
         """React to moves as soon as their truth is told; the stimulus's own stream tells only when all is over."""
-        if self._truth is None:
+        truths, rest = self._truth.inlet, self._stimulus.inlet
+        if truths is None:
             self._peer.rest(timeout)
             return
-        for item in self._peer.hear(self._truth, timeout):
+        for item in self._peer.hear(truths, timeout):
             is_again = (item.stamp, item.message) == self._last_truth  # of a stimulus that was started again
             if isinstance(item.message, Truth) and not is_again:
                 self._last_truth = item.stamp, item.message
@@ -157,7 +136,7 @@ class _Player:
                     self._respond(item.stamp, item.message, 1.0)
                 else:
                     self._truths[item.message.episode, item.message.step] = item.stamp, item.message
-        for item in self._peer.hear(self._stimulus) if self._stimulus else ():
+        for item in self._peer.hear(rest) if rest is not None else ():
             self.ended |= isinstance(item.message, SessionEnd)
             match item.message:
                 case SessionStart() as opening:

@@ -107,4 +107,4 @@ def watch(jobs: Sequence[Job], notes: Path, progress: Progress, what: str) -> Wa
         n_ready = sum(share == 1 for share in shares)
         progress(f"{what}, {n_ready} of {len(jobs)} ready, 1000 moves", round(done / 1000), total)
 
-    return Watch(notes, len(jobs), tell)
+    return Watch(notes, [0.0] * len(jobs), tell)

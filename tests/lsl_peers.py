@@ -36,7 +36,7 @@ def until(condition: Callable[[], Any], seconds: float, what: str, between: Call
 class ForeignAmplifier:
     """Three noises that named channels share, with a sample counter in the first: a lost or doubled sample shows.
 
-    With `on_arrival` chunks come every 35 ms or more, stamped when they come, 10 us a sample apart.
+    With `on_arrival` they are stamped in chunks of 35 ms or more, as if when these came, 10 us a sample apart.
     """
 
     def __init__(
@@ -67,6 +67,9 @@ class ForeignAmplifier:
         self._mixing = 10 * mixing / np.linalg.norm(mixing, axis=0)
         self._started = pylsl.local_clock()
         self._sent = 0
+        self._sent_at = self._started
+        self.longest_pause_s = 0.0
+        """Real seconds between two of its packets, at most: more than a rate's where the machine is busy."""
         self._rate = delivered or sfreq
         self._spoil = spoil
         self._clock_s = clock_s
@@ -93,15 +96,20 @@ class ForeignAmplifier:
         """Send what is due by now, unless it is off the network; then let a hundredth of a second pass."""
         now = pylsl.local_clock()
         due = int((now - self._started) * self._rate)
-        at_least = 0.035 * self._rate if self._on_arrival else 1
-        if due - self._sent >= at_least:
+        a_chunk = int(np.ceil(0.035 * self._rate)) if self._on_arrival else 1
+        due -= due % a_chunk
+        if due > self._sent:
+            self.longest_pause_s = max(self.longest_pause_s, now - self._sent_at)
+            self._sent_at = now
             number = np.arange(self._sent, due)
             samples = self._rng.normal(0, 1, (len(number), len(self.labels)))
             samples = (samples + self._rng.normal(0, 1, (len(number), 3)) @ self._mixing).astype(np.float32)
             samples[:, 0] = number % 1000
             self._spoil(samples)
-            even = self._started + self._clock_s + number / self._rate
-            stamps = now + (number - due) * 1e-5 if self._on_arrival else even
+            stamps = self._started + self._clock_s + number / self._rate
+            if self._on_arrival:
+                arrived = self._started + self._clock_s + (number // a_chunk + 1) * a_chunk / self._rate
+                stamps = arrived + (number % a_chunk - a_chunk) * 1e-5
             if self._outlet is not None:
                 self._outlet.push_chunk((samples * self._in_a_microvolt).astype(np.float32), stamps.tolist())
             self._sent = due

@@ -122,10 +122,15 @@ def test_a_simulated_amplifier_that_is_alone_is_like_any_other(tmp_path: Path) -
     assert not [note for note in verdicts.of("Note") if "No EEG" in note["text"]]
 
 
-def test_a_second_session_of_the_same_person_is_refused_before_anything_starts(tmp_path: Path) -> None:
-    session = "sub-P1_ses-S001_task-online_run-001-0a1b2c"
+@pytest.mark.parametrize(
+    ("session", "more"),
+    [("sub-P1_ses-S001_task-online_run-001-0a1b2c", ("--session", "lab")), ("lab", ("--session", "lab"))],
+)
+def test_a_second_session_of_the_same_person_is_refused_before_anything_starts(
+    tmp_path: Path, session: str, more: tuple[str, ...]
+) -> None:
     info = pylsl.StreamInfo("bci-session", "Events", 1, 0.0, "string", f"bci-app/{session}/bci-session")
-    words = ("calibrate", "--participant", "P1", "--config", lab_config(tmp_path), "--headless")
+    words = ("calibrate", "--participant", "P1", "--config", lab_config(tmp_path), "--headless", *more)
     with ExitStack() as stack, closing(ForeignAmplifier()) as amplifier, process(*words) as running:
         first = [pylsl.StreamOutlet(info)]
         stack.callback(first.clear)  # off the network, even where this fails and the outlet is still known by name
@@ -316,4 +321,5 @@ def test_a_decoder_that_was_stopped_for_a_while_loses_nothing(tmp_path: Path) ->
         decoder.send_signal(signal.SIGCONT)
         until(lambda: len(verdicts.of("Verdict")) == 4, 45, "four verdicts", amplifier.play)
     assert {verdict["outcome"] for verdict in verdicts.of("Verdict")} == {"unjudged"}
-    assert not [note for note in verdicts.of("Note") if note["level"] == "error"]
+    errors = [note["text"] for note in verdicts.of("Note") if note["level"] == "error"]
+    assert not errors or amplifier.longest_pause_s > 0.9, (errors, amplifier.longest_pause_s)  # or it was silent indeed

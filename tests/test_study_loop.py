@@ -202,7 +202,9 @@ def test_whoever_was_begun_with_other_settings_keeps_nobody_else_from_coming(tmp
 def test_a_part_that_fails_is_told_and_costs_nobody_else(tmp_path: Path) -> None:
     few = {**SMALL, "classifier": {"n_folds": 2, "min_per_class": 50}}
     study = small_study(tmp_path, config=few, conditions=["none"])
-    told = running.run(study, "one-process", None, "local", None, lambda what, done, of: None)
+    seen: list[tuple[str, int, int]] = []
+    told = running.run(study, "one-process", None, "local", None, lambda *news: seen.append(news))
+    assert seen[-1] == ("calibrations and runs, 0 of 1 participants through", 0, 2)
     assert told["report"] is None
     assert "stopped in calibration: A decoder needs at least 50" in told["unfinished"][0]["why"]
 
@@ -242,6 +244,7 @@ def test_whose_parts_cant_be_kept_costs_nobody_else(tmp_path: Path, monkeypatch:
     with pytest.raises(SetupError, match=r"Of 2 participants 1 couldn't go on; .*report: .*Participant P1: Can't keep"):
         running.run(study, "one-process", None, "local", None, lambda what, done, of: seen.append((done, of)))
     assert set(Kept.of(study, study.participants[1], "one-process").parts) == {"calibration", "none open"}
+    assert seen == sorted(seen)
     assert list(dict.fromkeys(seen)) == [(0, 4), (1, 4), (2, 4)]  # while it was done
 
 

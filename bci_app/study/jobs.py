@@ -12,7 +12,7 @@ from bci_app.errors import SetupError
 from bci_app.study.apart import apart
 from bci_app.study.conduct import go_through
 from bci_app.study.parts import Kept
-from bci_app.study.plan import Study, Through
+from bci_app.study.plan import Participant, Study, Through
 from bci_app.watching import note
 from policy import cluster
 
@@ -50,25 +50,29 @@ class Made:
 
 def attempt(job: Job) -> Made:
     """In a worker: all that is left to do of a participant."""
-    if job.is_beside_others:
-        apart()
-    study = Study.model_validate_json(job.study)
-    who = study.participant(job.participant)
 
     def part_done(done: int, of: int) -> None:
         if job.notes is not None:
             note(Path(job.notes), job.number, done, of)
 
     try:
+        if job.is_beside_others:
+            apart()
+        study, who = _whose(job)
         return Made(_plain(go_through(study, who, job.through, lambda what, done, of: None, part_done)))
     except SetupError as error:
         return Made(refusal=str(error))
     except Exception:  # noqa: BLE001 (raised again by `run`)
         crash = traceback.format_exc()
     try:
-        return Made(_plain(Kept.of(study, who, job.through)), crash=crash)
-    except (SetupError, OSError) as error:
+        return Made(_plain(Kept.of(*_whose(job), job.through)), crash=crash)
+    except (SetupError, OSError, ValueError) as error:
         return Made(refusal=str(error), crash=crash)
+
+
+def _whose(job: Job) -> tuple[Study, Participant]:
+    study = Study.model_validate_json(job.study)
+    return study, study.participant(job.participant)
 
 
 def _plain(kept: Kept) -> dict[str, Any]:

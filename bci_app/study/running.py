@@ -58,7 +58,8 @@ def run(
     simulated = [each for each in left if not each.is_real]
     troubles = _Troubles(len(simulated))
     if simulated:
-        _simulate(study, simulated, through, backend, scheduler, progress, troubles)
+        done = [before[who.name] for who in simulated]
+        _simulate(study, simulated, done, through, backend, scheduler, progress, troubles)
     try:
         result = summary(study, through) | {"seconds": perf_counter() - started}
     except SetupError as error:
@@ -71,13 +72,14 @@ def run(
 def _simulate(
     study: Study,
     people: Sequence[Participant],
+    before: Sequence[Kept],
     through: Through,
     backend: str,
     scheduler: str | None,
     progress: Progress,
     troubles: "_Troubles",
 ) -> None:
-    """Make what is left to do of these participants, side by side."""
+    """Make what is left to do of these participants, of whom is kept what was done `before`, side by side."""
     n = _side_by_side(study, through)
     beside = through == "processes" and n > 1 and len(people) > 1
     # A worker that outlives an interruption may hold a note open; Windows then can't remove it.
@@ -85,7 +87,7 @@ def _simulate(
         here = None if backend == "dask" else notes
         text = study.model_dump_json()
         jobs = [Job(text, who.name, through, number, here, beside) for number, who in enumerate(people)]
-        with _watch(study, people, Path(notes), progress) as watching:
+        with _watch(study, people, before, Path(notes), progress) as watching:
             for number, made in made_of(jobs, n, backend, scheduler):
                 if troubles.take(people[number].name, made, study, through):
                     watching.finished(number)
@@ -100,7 +102,7 @@ class _Troubles:
         self._crashes: list[str] = []
 
     def take(self, name: str, made: Made, study: Study, through: Through) -> bool:
-        """Keep what was made; whether the participant is through."""
+        """Keep what was made; whether the participant is through, which who stopped isn't."""
         refusals = [made.refusal] if made.refusal else []
         try:
             if made.kept is not None:
@@ -109,7 +111,7 @@ class _Troubles:
             refusals.append(str(error))
         self._refusals += [f"Participant {name}: {refusal}" for refusal in refusals]
         self._crashes += [f"Participant {name}: {made.crash}"] if made.crash else []
-        return not (refusals or made.crash)
+        return not (refusals or made.crash or (made.kept or {}).get("stopped"))
 
     def end(self, where: str) -> None:
         """Raise RuntimeError for errors of the program, SetupError for others; ``where`` the rest is to be seen."""
@@ -123,16 +125,20 @@ class _Troubles:
             raise SetupError(f"Of {self._n} participants {n} couldn't go on; {kept} {' '.join(self._refusals)}")
 
 
-def _watch(study: Study, people: Sequence[Participant], notes: Path, progress: Progress) -> Watch:
+def _watch(
+    study: Study, people: Sequence[Participant], before: Sequence[Kept], notes: Path, progress: Progress
+) -> Watch:
     """Tells how many parts of these participants are done."""
-    parts = [len(names_of(study, who)) for who in people]
+    names = [set(names_of(study, who)) for who in people]
+    shares = [len(own & set(kept.parts)) / len(own) for own, kept in zip(names, before, strict=True)]
+    total = sum(map(len, names))
 
     def tell(shares: Sequence[float]) -> None:
-        done = sum(round(share * n) for share, n in zip(shares, parts, strict=True))
+        done = sum(round(share * len(own)) for share, own in zip(shares, names, strict=True))
         n_through = sum(share == 1 for share in shares)
-        progress(f"calibrations and runs, {n_through} of {len(people)} participants through", done, sum(parts))
+        progress(f"calibrations and runs, {n_through} of {len(people)} participants through", done, total)
 
-    return Watch(notes, len(people), tell)
+    return Watch(notes, shares, tell)
 
 
 def check_maps(study: Study) -> None:
