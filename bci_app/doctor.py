@@ -182,15 +182,18 @@ def _fits(model_path: Path, inlet: EegInlet) -> dict[str, Any]:
     return check("EEG fits the decoder", True, f"all channels of {model_path.name} are there")
 
 
+def _table(title: str, *heads: str) -> Table:
+    """An id or a path that is cut off is of no use: what is too long goes on in the next line."""
+    table = Table(title=title)
+    for head in heads:
+        table.add_column(head, overflow="fold")
+    return table
+
+
 def show(result: dict[str, Any], console: Console) -> None:
     """The findings as two tables."""
-    streams, checks = Table(title="Streams"), Table(title="Checks")
-    for table, heads in (
-        (streams, ("name", "type", "channels", "Hz", "source id", "host")),
-        (checks, ("", "check", "found")),
-    ):
-        for head in heads:
-            table.add_column(head, overflow="fold")  # an id or a path that is cut off is of no use
+    streams = _table("Streams", "name", "type", "channels", "Hz", "source id", "host")
+    checks = _table("Checks", "", "check", "found")
     for stream in result["streams"]:
         values = ("name", "type", "channels", "sfreq", "source_id", "hostname")
         streams.add_row(*(escape(str(stream[key])) for key in values))

@@ -203,13 +203,14 @@ class LateInlet:
         self._inlet = None
 
     def _find(self) -> None:
-        while self._inlet is None:
+        while not self._ended.is_set():
             try:
                 self._inlet = MessageInlet.find(self._spec, self._session, timeout=0.5)
             except LinkLost:
                 log.info("Stream '%s' was found but is gone again.", self._spec.name)
-            if self._ended.wait(0.0 if self._inlet else 1.0):
+            if self._inlet is not None:
                 return
+            self._ended.wait(1.0)
 
 
 class MessageInlet:
@@ -357,11 +358,11 @@ def finds_streams(timeout: float) -> bool:
     return bool(found)
 
 
-def running_session(beginning: str, timeout: float) -> str | None:
-    """A session led on this computer whose id, with a slash after it, begins so; None where none answers within
-    `timeout` real seconds."""
-    here, source = _quoted(platform.node()), _quoted(f"{StreamSpec.PREFIX}/{beginning}")
-    predicate = f"name='{SESSION.name}' and hostname={here} and starts-with(source_id,{source})"
+def running_session(beginnings: Sequence[str], timeout: float) -> str | None:
+    """A session led on this computer whose id, with a slash after it, begins in one of these ways; None where none
+    answers within `timeout` real seconds."""
+    begins = (f"starts-with(source_id,{_quoted(f'{StreamSpec.PREFIX}/{each}')})" for each in beginnings)
+    predicate = f"name='{SESSION.name}' and hostname={_quoted(platform.node())} and ({' or '.join(begins)})"
     found = pylsl.resolve_bypred(predicate, 1, timeout)
     return found[0].source_id().split("/")[1] if found else None
 

@@ -213,7 +213,8 @@ def _look_at_eeg(wishes: Wishes) -> EegDescription:
     eeg.check()
     _check_disk(wishes.config, eeg)
     theirs = [f"sub-{wishes.participant}_ses-{wishes.visit}_", *([f"{wishes.session}/"] if wishes.session else [])]
-    for running in filter(None, (running_session(beginning, ANSWER_S) for beginning in theirs)):
+    running = running_session(theirs, ANSWER_S)
+    if running is not None:
         raise SetupError(
             f"Session {running} is running on this computer already. End it first, or name another participant, visit "
             "or --session."

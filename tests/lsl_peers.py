@@ -67,9 +67,6 @@ class ForeignAmplifier:
         self._mixing = 10 * mixing / np.linalg.norm(mixing, axis=0)
         self._started = pylsl.local_clock()
         self._sent = 0
-        self._sent_at = self._started
-        self.longest_pause_s = 0.0
-        """Real seconds between two of its packets, at most: more than a rate's where the machine is busy."""
         self._rate = delivered or sfreq
         self._spoil = spoil
         self._clock_s = clock_s
@@ -99,8 +96,6 @@ class ForeignAmplifier:
         a_chunk = int(np.ceil(0.035 * self._rate)) if self._on_arrival else 1
         due -= due % a_chunk
         if due > self._sent:
-            self.longest_pause_s = max(self.longest_pause_s, now - self._sent_at)
-            self._sent_at = now
             number = np.arange(self._sent, due)
             samples = self._rng.normal(0, 1, (len(number), len(self.labels)))
             samples = (samples + self._rng.normal(0, 1, (len(number), 3)) @ self._mixing).astype(np.float32)

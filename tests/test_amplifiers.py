@@ -321,5 +321,4 @@ def test_a_decoder_that_was_stopped_for_a_while_loses_nothing(tmp_path: Path) ->
         decoder.send_signal(signal.SIGCONT)
         until(lambda: len(verdicts.of("Verdict")) == 4, 45, "four verdicts", amplifier.play)
     assert {verdict["outcome"] for verdict in verdicts.of("Verdict")} == {"unjudged"}
-    errors = [note["text"] for note in verdicts.of("Note") if note["level"] == "error"]
-    assert not errors or amplifier.longest_pause_s > 0.9, (errors, amplifier.longest_pause_s)  # or it was silent indeed
+    assert not [note for note in verdicts.of("Note") if note["level"] == "error"]

@@ -252,10 +252,10 @@ def test_what_a_cluster_made_and_cant_be_kept_here_costs_nobody_else(tmp_path: P
     people = [{"name": name, "seed": 2} for name in ("P1", "P2")]
     study = small_study(tmp_path, conditions=["none"], participants=people)
     (tmp_path / "one-process" / ".P1.json.partial").mkdir(parents=True)
-    troubles = running._Troubles(2)
+    troubles = running._Troubles(study, "one-process", 2)
     made = Made({"parts": {"calibration": {"n_moves": 60}}, "stopped": {}})
-    assert [troubles.take(name, made, study, "one-process") for name in ("P1", "P2")] == [False, True]
-    assert not troubles.take("P2", Made(refusal="The cluster gave it up.", crash="Traceback"), study, "one-process")
+    assert [troubles.take(name, made) for name in ("P1", "P2")] == [False, True]
+    assert not troubles.take("P2", Made(refusal="The cluster gave it up.", crash="Traceback"))
     with pytest.raises(
         RuntimeError, match=r"2 participants 1 .*\(there\)\.\nParticipant P1: Can't keep(.|\n)*P2: The clu"
     ):

@@ -62,6 +62,12 @@ def go_through(
     return kept
 
 
+def done_of(study: Study, who: Participant, kept: Kept) -> tuple[int, int]:
+    """How many parts of a participant are done, and of how many."""
+    names = names_of(study, who)
+    return len(set(names) & set(kept.parts)), len(names)
+
+
 def names_of(study: Study, who: Participant) -> list[str]:
     """The parts of a participant, in order."""
     runs = [part_name(condition, name) for condition, name in study.schedule(who)]
@@ -155,8 +161,7 @@ class _Conducted:
         self._tell()
 
     def _tell(self) -> None:
-        names = names_of(self.study, self.who)
-        self.part_done(len(set(names) & set(self.kept.parts)), len(names))
+        self.part_done(*done_of(self.study, self.who, self.kept))
 
     def _decoder(self, part: str) -> Path:
         ending = "" if part == CALIBRATION else f"_{part.removeprefix('calibration ')}"

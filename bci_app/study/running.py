@@ -14,7 +14,7 @@ from bci_app.progress import Progress
 from bci_app.report import Row
 from bci_app.study import page, tables
 from bci_app.study.apart import has_own_ports
-from bci_app.study.conduct import go_through, names_of
+from bci_app.study.conduct import done_of, go_through, names_of
 from bci_app.study.jobs import Job, Made, made_of
 from bci_app.study.parts import Kept
 from bci_app.study.plan import Participant, Study, Through
@@ -56,7 +56,7 @@ def run(
     for who in [each for each in left if each.is_real]:
         go_through(study, who, "processes", progress)
     simulated = [each for each in left if not each.is_real]
-    troubles = _Troubles(len(simulated))
+    troubles = _Troubles(study, through, len(simulated))
     if simulated:
         done = [before[who.name] for who in simulated]
         _simulate(study, simulated, done, through, backend, scheduler, progress, troubles)
@@ -89,24 +89,24 @@ def _simulate(
         jobs = [Job(text, who.name, through, number, here, beside) for number, who in enumerate(people)]
         with _watch(study, people, before, Path(notes), progress) as watching:
             for number, made in made_of(jobs, n, backend, scheduler):
-                if troubles.take(people[number].name, made, study, through):
+                if troubles.take(people[number].name, made):
                     watching.finished(number)
 
 
 class _Troubles:
     """Those of single participants: told when all others are through."""
 
-    def __init__(self, n: int) -> None:
-        self._n = n
+    def __init__(self, study: Study, through: Through, n: int) -> None:
+        self._study, self._through, self._n = study, through, n
         self._refusals: list[str] = []
         self._crashes: list[str] = []
 
-    def take(self, name: str, made: Made, study: Study, through: Through) -> bool:
+    def take(self, name: str, made: Made) -> bool:
         """Keep what was made; whether the participant is through, which who stopped isn't."""
         refusals = [made.refusal] if made.refusal else []
         try:
             if made.kept is not None:
-                _keep(study, through, name, made.kept)
+                _keep(self._study, self._through, name, made.kept)
         except SetupError as error:
             refusals.append(str(error))
         self._refusals += [f"Participant {name}: {refusal}" for refusal in refusals]
@@ -129,16 +129,15 @@ def _watch(
     study: Study, people: Sequence[Participant], before: Sequence[Kept], notes: Path, progress: Progress
 ) -> Watch:
     """Tells how many parts of these participants are done."""
-    names = [set(names_of(study, who)) for who in people]
-    shares = [len(own & set(kept.parts)) / len(own) for own, kept in zip(names, before, strict=True)]
-    total = sum(map(len, names))
+    parts = [done_of(study, who, kept) for who, kept in zip(people, before, strict=True)]
+    total = sum(of for _, of in parts)
 
     def tell(shares: Sequence[float]) -> None:
-        done = sum(round(share * len(own)) for share, own in zip(shares, names, strict=True))
+        done = sum(round(share * of) for share, (_, of) in zip(shares, parts, strict=True))
         n_through = sum(share == 1 for share in shares)
         progress(f"calibrations and runs, {n_through} of {len(people)} participants through", done, total)
 
-    return Watch(notes, shares, tell)
+    return Watch(notes, [done / of for done, of in parts], tell)
 
 
 def check_maps(study: Study) -> None:

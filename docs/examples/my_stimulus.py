@@ -10,10 +10,12 @@ SESSION, MOVES = sys.argv[1], {"north": (-1, 0), "south": (1, 0), "west": (0, -1
 
 
 def outlet(name, kind, form="string"):
+    """A stream of this program's."""
     return pylsl.StreamOutlet(pylsl.StreamInfo(name, kind, 1, 0.0, form, f"bci-app/{SESSION}/{name}"))
 
 
 def inlet(name):
+    """A stream of another process of the session, open."""
     found = pylsl.StreamInlet(pylsl.resolve_bypred(f"source_id='bci-app/{SESSION}/{name}'", 1, 60.0)[0])
     found.open_stream()  # what is said before is not heard
     return found
@@ -24,6 +26,7 @@ MARKERS = outlet("bci-markers", "Markers", "int32")
 
 
 def say(kind, stamp=None, to=OUT, **fields):
+    """Send a message, stamped now unless told."""
     message = {"protocol": 5, "session": SESSION, "type": kind, **fields}
     to.push_sample([json.dumps(message)], stamp or pylsl.local_clock())
 
@@ -41,10 +44,12 @@ def wait_for(kind, state="running", **wanted):
 
 
 def sensed(cell, goal):
+    """Whether the goal is here, and in each neighbouring cell."""
     return [(cell[0] + dr, cell[1] + dc) == goal for dr, dc in [(0, 0), *MOVES.values()]]
 
 
 def far(cell, goal):
+    """Steps from a cell to the goal on an empty map."""
     return abs(cell[0] - goal[0]) + abs(cell[1] - goal[1])
 
 
